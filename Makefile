@@ -1,0 +1,48 @@
+# make demo: install, make the demo archive, process it.  make test: install, run all tests.
+PYTHON ?= python3
+CORES ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+LOCK := workflow/envs/requirements.lock
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format lock clean
+
+help: ## Say what each target does
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+setup: $(READY) ## Install everything into .venv
+
+$(READY): $(LOCK) pyproject.toml workflow/envs/debian-packages.txt workflow/envs/system-libraries.sh
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "Treadlight needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --prefer-binary -r $(LOCK)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	sh workflow/envs/system-libraries.sh $(BIN)/python
+	touch $@
+
+demo: setup ## Make the demo archive (once), process it, say where the result page is
+	$(BIN)/treadlight simulate demo/archive --preset demo
+	$(BIN)/snakemake --cores $(CORES)
+	@echo "Result page: results/index.html"
+
+test: setup ## Run all tests, with coverage
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadgroup --cov --cov-report=term --cov-fail-under=85
+
+lint: setup ## Check style, types and layers
+	$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/snakefmt --check Snakefile rules
+	$(BIN)/lint-imports
+
+format: setup ## Format Python and Snakemake files
+	$(BIN)/ruff check --fix . && $(BIN)/ruff format . && $(BIN)/snakefmt Snakefile rules
+
+lock: ## Pin the newest versions (needs pip-tools)
+	pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-options \
+	  --no-header --output-file $(LOCK) workflow/envs/requirements.in
+
+clean: ## Remove the demo and its results, not the environment
+	rm -rf demo results

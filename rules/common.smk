@@ -1,0 +1,180 @@
+"""What the rules share: the archive, the config, and where products live."""
+
+import json
+import os
+import shlex
+import sys
+from pathlib import Path
+
+from snakemake.exceptions import WorkflowError
+
+from treadlight.archive import find_archive
+from treadlight.commands.status import describe, read_outcome
+from treadlight.errors import TreadlightError
+from treadlight.planning.code import code_digest
+from treadlight.planning.config import complete_config, load_schema
+from treadlight.planning.frames import FrameDigests, facts_digest
+
+# Jobs find `treadlight` beside the Python that runs Snakemake, activated or not.
+shell.prefix(
+    f"set -euo pipefail; PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; "
+)
+
+try:
+    config_source = ", ".join(map(str, workflow.configfiles)) or "config"
+    CONFIG = complete_config(
+        config,
+        load_schema(Path(workflow.basedir) / "schemas/config.schema.yaml"),
+        config_source,
+    )
+except TreadlightError as error:
+    raise WorkflowError(str(error)) from None
+
+RESULTS = CONFIG["results"].rstrip("/")
+PASSES = CONFIG["passes"]
+DIGESTS = FrameDigests(Path(RESULTS) / ".treadlight/frames")
+ARCHIVE = find_archive(
+    Path(CONFIG["archive"]),
+    CONFIG["include"],
+    CONFIG["exclude"],
+    CONFIG["calibrations"],
+    DIGESTS.check,
+)
+if not ARCHIVE.measurements and not ARCHIVE.calibrations and not ARCHIVE.refused:
+    raise WorkflowError(
+        f"{config_source}: 'archive' is {CONFIG['archive']!r}, where no capture.yaml is found"
+        " that 'include' and 'exclude' let through. Name the folder that holds the captures."
+    )
+CAPTURES = ARCHIVE.measurements | ARCHIVE.calibrations
+
+
+wildcard_constraints:
+    capture="|".join(map(re.escape, CAPTURES)) or "none",
+    calibration="|".join(map(re.escape, ARCHIVE.calibrations)) or "none",
+    tire="|".join(map(re.escape, ARCHIVE.tires)) or "none",
+    view=r"\d\d+",
+    round=r"(pass\d+/)?",
+
+
+def product(path):
+    """Where a product lives; a zarr store is named by its root metadata."""
+    name = path.rpartition("/")[2]
+    is_store = name.endswith(".zarr") or name.startswith("fov")
+    return f"{RESULTS}/{path}/zarr.json" if is_store else f"{RESULTS}/{path}"
+
+
+def name_of(wildcards):
+    return wildcards.get("capture") or wildcards.get("calibration")
+
+
+def folder_of(wildcards):
+    """The capture's folder; it is no input, since its frames' digests are params."""
+    return str(CAPTURES[name_of(wildcards)].folder)
+
+
+def facts_of(wildcards):
+    return facts_digest(CAPTURES[name_of(wildcards)])
+
+
+def frames_of(*kinds):
+    """A function of the wildcards: one digest over the frames of these kinds."""
+
+    def digest(wildcards):
+        capture = CAPTURES[name_of(wildcards)]
+        return DIGESTS.of_frames(
+            capture, [f for f in capture.frames if f.kind in kinds]
+        )
+
+    return digest
+
+
+def frames_of_view(wildcards):
+    capture = CAPTURES[wildcards.capture]
+    return DIGESTS.of_frames(
+        capture, [*capture.view(int(wildcards.view)), *capture.of_kind("dark")]
+    )
+
+
+def calibration_of(wildcards):
+    return product(
+        f"calibrations/{ARCHIVE.calibration_of[wildcards.capture]}/calibration.json"
+    )
+
+
+def illumination_of(wildcards):
+    return product(
+        f"calibrations/{ARCHIVE.calibration_of[wildcards.capture]}/illumination.zarr"
+    )
+
+
+def warnings_of(wildcards):
+    warning = ARCHIVE.warnings.get(wildcards.capture)
+    return ["--warning", warning] if warning else []
+
+
+def settings(section):
+    """One stage's part of the config as JSON, so that no other key reruns the stage."""
+    return json.dumps(CONFIG[section], sort_keys=True)
+
+
+def memory_of(bytes_per_pixel, fixed_mb=700):
+    """A function of the wildcards: memory for a job that holds this much per image pixel."""
+
+    def mem_mb(wildcards):
+        width, height = CAPTURES[name_of(wildcards)].encoding.size_px
+        return int(fixed_mb + width * height * bytes_per_pixel / 1e6)
+
+    return mem_mb
+
+
+def surface_of(wildcards):
+    """The surface that a round of photometry stands on: the laser's, then the last round's."""
+    number = int(wildcards.round[4:-1]) if wildcards.round else PASSES
+    before = f"pass{number - 1}/profile.zarr" if number > 1 else "surface.zarr"
+    return product(f"captures/{wildcards.capture}/{before}")
+
+
+def views_of(wildcards):
+    return [
+        product(
+            f"captures/{wildcards.capture}/{wildcards.round}photometric.zarr/fov{view:02d}"
+        )
+        for view in ARCHIVE.measurements[wildcards.capture].views
+    ]
+
+
+def of_tire(name):
+    """A function of the wildcards: this product of every capture of the tire, in order."""
+    return lambda wildcards: [
+        product(f"captures/{capture}/{name}")
+        for capture in ARCHIVE.tires[wildcards.tire]
+    ]
+
+
+def archive_state():
+    """What the archive holds, as JSON: tires, choice of calibration, refused captures."""
+    return json.dumps(
+        {
+            "tires": ARCHIVE.tires,
+            "calibration_of": ARCHIVE.calibration_of,
+            "calibrations": sorted(ARCHIVE.calibrations),
+            "refused": ARCHIVE.refused,
+            "warnings": ARCHIVE.warnings,
+        },
+        sort_keys=True,
+    )
+
+
+def say_result():
+    """What was refused and why, and where to look; said at the end of every run."""
+    state = Path(RESULTS) / "archive.json"
+    if state.is_file():
+        print("\n".join(describe(read_outcome(Path(RESULTS), state))), file=sys.stderr)
+
+
+def say_failure(log):
+    print(
+        f"Something failed: its own log under {RESULTS}/logs says what. Run the same command"
+        " again to go on from there.",
+        file=sys.stderr,
+    )

@@ -1,0 +1,36 @@
+rule report:
+    input:
+        wear=product("tires/{tire}/wear.zarr"),
+        trend=product("tires/{tire}/trend.csv"),
+        profiles=of_tire("profile.zarr"),
+        quality=of_tire("quality.json"),
+    output:
+        report(
+            product("tires/{tire}/report.html"),
+            caption="../workflow/report/tire.rst",
+            category="Tires",
+            labels={"tire": "{tire}"},
+        ),
+    log:
+        f"{RESULTS}/logs/report/{{tire}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/report/{{tire}}.tsv"
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        calibrations=lambda wildcards: [
+            ARCHIVE.calibration_of[capture]
+            for capture in ARCHIVE.tires[wildcards.tire]
+        ],
+        size=lambda wildcards: ARCHIVE.measurements[
+            ARCHIVE.tires[wildcards.tire][0]
+        ].tire.size,
+        code=code_digest("treadlight.commands.report"),
+    message:
+        "Writing the report of tire {wildcards.tire}"
+    shell:
+        "treadlight report {wildcards.tire} --wear {input.wear:q} --trend {input.trend:q}"
+        " --profiles {input.profiles:q} --quality {input.quality:q}"
+        " --calibrations {params.calibrations:q} --size {params.size:q}"
+        " --code {params.code} --out {output:q} 2> {log:q}"

@@ -1,0 +1,25 @@
+rule wear:
+    input:
+        profiles=of_tire("profile.zarr"),
+    output:
+        wear=product("tires/{tire}/wear.zarr"),
+        trend=product("tires/{tire}/trend.csv"),
+    log:
+        f"{RESULTS}/logs/wear/{{tire}}.log",
+    benchmark:
+        f"{RESULTS}/benchmarks/wear/{{tire}}.tsv"
+    threads: 1
+    resources:
+        mem_mb=lambda wildcards: max(
+            memory_of(1500)({"capture": capture})
+            for capture in ARCHIVE.tires[wildcards.tire]
+        ),
+    params:
+        settings=settings("wear"),
+        code=code_digest("treadlight.commands.wear"),
+    message:
+        "Comparing the mileages of tire {wildcards.tire}"
+    shell:
+        "treadlight wear {wildcards.tire} {input.profiles:q} --settings {params.settings:q}"
+        " --code {params.code} --threads {threads}"
+        " --out {output.wear:q} --trend {output.trend:q} 2> {log:q}"

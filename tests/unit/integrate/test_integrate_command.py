@@ -1,0 +1,103 @@
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from treadlight import store
+from treadlight.cli import main
+from treadlight.geometry import CylinderGrid
+
+CAPTURE = """\
+format: tread-capture/1
+kind: measurement
+capture: t1-0
+tire: {id: t1, size: "1", nominal_radius_mm: 100.0, tread_width_mm: 20.0}
+mileage: {value: 0, unit: km}
+captured_at: 2020-01-31T10:00:00Z
+rig: bench
+camera: {size_px: [8, 8], encoding: linear, black_level: 0, white_level: 65535}
+laser: {scan: rows, channel: red}
+leds: 0
+"""
+
+
+@pytest.fixture
+def products(tmp_path, rng):
+    (tmp_path / "t1").mkdir()
+    (tmp_path / "t1/capture.yaml").write_text(CAPTURE)
+    (tmp_path / "t1/a.png").write_bytes(b"")
+    (tmp_path / "t1/frames.csv").write_text(
+        "file,kind,pose,led,encoder_deg,exposure_s,sha256\na.png,laser,0,,0,,\n"
+    )
+    camera = {"matrix": np.eye(3), "distortion": np.zeros(5), "size_px": [8, 8]}
+    store.write_json(tmp_path / "calibration.json", {"camera": camera})
+    grid = CylinderGrid.sector((0.0, 0.3), (-10.0, 10.0), 0.5, 100.0)
+    field, dims = store.variable, ("theta", "z")
+    r = np.full(grid.shape, 100.0)
+    surface = xr.Dataset(
+        {
+            "r": field(dims, r, "mm", "r"),
+            "r_std": field(dims, r * 0 + 0.1, "mm", "r"),
+            "laser_r": field(dims, r * np.nan, "mm", "r"),
+        },
+        coords={
+            "theta": field(("theta",), grid.theta, "rad", "t"),
+            "z": field(("z",), grid.z, "mm", "z"),
+        },
+        attrs={"nominal_radius_mm": 100.0, "tire": "t1"},
+    )
+    store.write_store(tmp_path / "surface.zarr", surface, title="s", source="t1-0")
+    theta = np.linspace(0.02, 0.28, 6)[:, None] + 0 * grid.z
+    values = {
+        "r": 100 + rng.normal(0, 0.1, theta.shape),
+        "theta": theta,
+        "z": theta * 0 + grid.z,
+        "r_std": theta * 0 + 0.1,
+    }
+    line = ("section", "line")
+    laser = xr.Dataset(
+        {name: field(line, v, "1", name) for name, v in values.items()}
+        | {"encoder": field(("section",), -theta[:, 0], "rad", "e")},
+        attrs={"closure_mm": 0.02},
+    )
+    store.write_store(tmp_path / "laser.zarr", laser, title="l", source="t1-0")
+    return tmp_path
+
+
+def integrate(folder, *more):
+    options = {
+        "--calibration": "calibration.json",
+        "--surface": "surface.zarr/zarr.json",
+        "--laser": "laser.zarr",
+        "--out": "profile.zarr",
+        "--quality": "quality.json",
+    }
+    words = [word for option, name in options.items() for word in (option, str(folder / name))]
+    return main(["integrate", str(folder / "t1"), "--threads", "1", *words, *more])
+
+
+def test_laser_only_capture_gets_a_profile_as_the_contract_says(products):
+    store.write_refused(products / "fov00", "All dark.", title="n", source="t1-0")
+    views = ["--views", str(products / "fov00"), "--warning", "Mind this."]
+    assert integrate(products, *views) == 0
+    profile = store.open_store(products / "profile.zarr")
+    names = {"r", "r_std", "laser_r", "normal", "k_d", "k_s", "alpha", "height", "quality"}
+    assert names <= set(profile.variables)
+    assert profile.attrs["tire"] == "t1"
+    assert profile.quality.attrs["flag_meanings"].split()[:2] == ["laser", "photometric"]
+    assert np.abs(profile.r - 100).max() < 0.5
+    report = json.loads((products / "quality.json").read_text())
+    assert report["closure_mm"] == 0.02
+    assert report["coverage"]["tread"] == 1
+    assert report["held_out_laser_mm"]["n"] == 0
+    assert report["frame_std"]["radial_mm"] is None
+    assert report["warnings"][0] == "Mind this."
+    assert any("All dark." in warning for warning in report["warnings"])
+
+
+def test_a_refused_surface_is_passed_on(products):
+    store.write_refused(products / "surface.zarr", "No section.", title="s", source="t1-0")
+    assert integrate(products) == 0
+    assert store.refused_reason(products / "profile.zarr") == "No section."
+    assert store.refused_reason(products / "quality.json") == "No section."

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import scipy.sparse.linalg
+
+from treadlight.integrate.coarsening import interpolation, prolong, restrict
+from treadlight.integrate.kernels import multiply
+from treadlight.integrate.multigrid import Solver, System
+
+
+def weights_of_four_decades(rng, n, m, periodic):
+    """Edges over four decades with cut walls, and laser rows: what a robust solve meets."""
+    w = 1000.0 * 10 ** rng.uniform(-1, 1, (2, n, m))
+    w[1, :, 5::12] *= 1e-3
+    w[0, 7::17, :] *= 1e-2
+    if not periodic:
+        w[0, -1] = 0
+    w[1, :, -1] = 0
+    data = np.full((n, m), 1e-2)
+    data[::11] = 80.0
+    return System(w[0], w[1], data)
+
+
+def as_matrix(system):
+    n, m = system.data.shape
+    index = np.arange(n * m).reshape(n, m)
+    matrix = sp.diags(system.data.ravel()).tocoo()
+    for axis, weight in enumerate((system.w_theta, system.w_z)):
+        a, b, w = index.ravel(), np.roll(index, -1, axis).ravel(), weight.ravel()
+        rows, columns = np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a])
+        matrix = matrix + sp.coo_matrix(
+            (np.concatenate([w, w, -w, -w]), (rows, columns)), shape=matrix.shape
+        )
+    return matrix.tocsc()
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "periodic"),
+    [(64, 48, False), (97, 53, True), (96, 31, True), (41, 7, False), (5, 9, True)],
+)
+def test_heights_agree_with_the_direct_solve_to_a_micrometre(rng, n, m, periodic):
+    system = weights_of_four_decades(rng, n, m, periodic)
+    truth = rng.normal(0, 3, (n, m))
+    matrix = as_matrix(system)
+    residual = (matrix @ truth.ravel()).reshape(n, m)
+    direct = scipy.sparse.linalg.spsolve(matrix, residual.ravel()).reshape(n, m)
+    found, iterations = Solver(system).solve(residual, tolerance_mm=1e-5)
+    assert np.max(np.abs(found - direct)) < 1e-3
+    assert iterations < 100
+
+
+def test_iterations_do_not_grow_with_the_grid(rng):
+    counts = []
+    for size in (32, 64, 128, 256):
+        w = np.full((2, size, size), 100.0)
+        w[0, -1] = 0
+        w[1, :, -1] = 0
+        data = np.zeros((size, size))
+        data[size // 2, size // 2] = 1.0
+        system = System(w[0], w[1], data)
+        counts.append(Solver(system).solve(rng.normal(size=(size, size)), 1e-6)[1])
+    assert max(counts) <= min(counts) + 6
+
+
+def test_the_same_heights_on_one_core_and_two(rng):
+    import numba
+
+    system = weights_of_four_decades(rng, 61, 40, True)
+    residual = rng.normal(size=(61, 40))
+    before = numba.get_num_threads()
+    found = []
+    try:
+        for threads in sorted({1, before}):
+            numba.set_num_threads(threads)
+            found.append(Solver(system).solve(residual, 1e-6)[0])
+    finally:
+        numba.set_num_threads(before)
+    assert all(np.array_equal(found[0], other) for other in found)
+
+
+def test_restriction_is_the_transpose_of_prolongation(rng):
+    system = weights_of_four_decades(rng, 21, 14, True)
+    stencil = Solver(system)._levels[0].stencil
+    weights = interpolation(stencil)
+    coarse = rng.normal(size=weights.shape[:2])
+    fine = rng.normal(size=(21, 14))
+    up, down = np.zeros((21, 14)), np.empty(coarse.shape)
+    prolong(weights, coarse, up)
+    restrict(weights, fine, down)
+    assert np.sum(up * fine) == pytest.approx(np.sum(coarse * down), rel=1e-12)
+
+
+def test_coarse_matrix_is_the_galerkin_product(rng):
+    system = weights_of_four_decades(rng, 26, 19, True)
+    fine, coarse = Solver(system)._levels[:2]
+    x = rng.normal(size=coarse.x.shape)
+    up, product = np.zeros(fine.x.shape), np.empty(fine.x.shape)
+    prolong(fine.weights, x, up)
+    multiply(fine.stencil, up, product)
+    expected, found = np.empty(x.shape), np.empty(x.shape)
+    restrict(fine.weights, product, expected)
+    multiply(coarse.stencil, x, found)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_cell_without_any_equation_keeps_its_start(rng):
+    system = weights_of_four_decades(rng, 20, 15, False)
+    for w in (system.w_theta, system.w_z):
+        w[9:11, 6:9] = 0
+    system.data[10, 7] = 0
+    system.w_z[10, 6] = 0
+    residual = rng.normal(size=(20, 15))
+    residual[10, 7] = 0
+    found, _ = Solver(system).solve(residual, 1e-6)
+    assert found[10, 7] == 0
+    assert np.isfinite(found).all()

@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+
+from treadlight.wear import Surface, align, relief_from
+from treadlight.wear.alignment import Alignment
+
+
+def relief(tire, grid, motion=None, wear=0.0, noise=0.02, seed=0, spoil=None):
+    rng = np.random.default_rng(seed)
+    r = tire.mileage(grid, motion, wear) + noise * rng.standard_normal(grid.shape)
+    if spoil is not None:
+        spoil(r, rng)
+    return relief_from(Surface.of_arrays(r, np.full(grid.shape, noise), grid))
+
+
+def uneven(theta, z):
+    """0.05 to 0.25 mm: more on one shoulder and on one side of the turn."""
+    return 0.15 + 0.05 * np.cos(theta) + 0.05 * z / 45
+
+
+@pytest.mark.parametrize("rotation", [np.pi / 2, -2.9])
+def test_a_remounted_worn_tire_is_brought_back(tire, make_grid, make_remount, rotation):
+    """Rotation within 0.02 degree, axial 0.1 mm, radial and off-centre 10 um, tilt 0.1 mrad."""
+    grid = make_grid("whole")
+    motion = make_remount(rotation)
+    found = align(relief(tire, grid), relief(tire, grid, motion, uneven, seed=1))
+    assert found.reason is None
+    error = found.motion.values - motion.values
+    error[0] = (error[0] + np.pi) % (2 * np.pi) - np.pi
+    assert abs(error[0]) < np.deg2rad(0.02)
+    assert abs(error[1]) < 0.1
+    assert np.abs(error[2:4]).max() < 1e-4
+    assert np.abs(error[4:7]).max() < 0.01
+
+
+def test_noise_gaps_and_ghosts_do_not_break_it(tire, make_grid, make_remount):
+    def spoil(r, rng):
+        r[rng.random(r.shape) < 0.15] = np.nan
+        r[100:130] += 2.0
+        r[:, 40:44] = np.nan
+
+    grid = make_grid("whole")
+    motion = make_remount(1.9)
+    first = relief(tire, grid, noise=0.15, spoil=spoil)
+    found = align(first, relief(tire, grid, motion, uneven, noise=0.15, seed=1, spoil=spoil))
+    error = found.motion.values - motion.values
+    assert abs(error[0]) < np.deg2rad(0.02)
+    assert abs(error[1]) < 0.1
+    assert abs(error[6]) < 0.02
+    std = np.sqrt(np.diag(found.covariance))
+    assert np.all(np.abs(error) < 5 * std + 1e-5)
+
+
+def test_sectors_that_overlap_in_part_are_matched(tire, make_grid, make_remount):
+    motion = make_remount(np.pi / 2)
+    grid, other = make_grid((0.0, 1.5)), make_grid((0.5 - np.pi / 2, 2.0 - np.pi / 2))
+    found = align(relief(tire, grid), relief(tire, other, motion, uneven, seed=1))
+    assert found.reason is None
+    assert abs(found.motion.values[0] - motion.values[0]) < 2e-3
+    # Off-centre and radius are nearly one on a sector: none may run away.
+    assert np.abs(found.motion.values[4:]).max() < 1.0
+
+
+def test_different_pixel_sizes_do_not_matter(tire, make_grid, make_remount):
+    motion = make_remount(-0.7)
+    found = align(
+        relief(tire, make_grid("whole")),
+        relief(tire, make_grid("whole", 0.5), motion, uneven, seed=1),
+    )
+    assert abs(found.motion.values[0] - motion.values[0]) < np.deg2rad(0.02)
+    assert abs(found.motion.values[6] - motion.values[6]) < 0.01
+
+
+def test_sectors_without_overlap_are_refused_with_a_sentence(tire, make_grid):
+    found = align(relief(tire, make_grid((0.0, 1.2))), relief(tire, make_grid((3.0, 4.2))))
+    assert "matches the first capture's nowhere" in found.reason
+    assert np.isnan(found.motion.values).all()
+
+
+def test_a_tread_without_pattern_has_no_rotation(make_tire, make_grid):
+    ribbed = make_tire(blocks=np.array([-50.0, -49.0]))
+    grid = make_grid("whole", 1.5)
+    found = align(relief(ribbed, grid, noise=0.0), relief(ribbed, grid, noise=0.0))
+    assert "nothing that fixes the rotation" in found.reason
+
+
+def test_without_grooves_the_pattern_still_gives_rotation_and_axial_shift(
+    make_tire, make_grid, make_remount
+):
+    slick = make_tire(grooves=())
+    grid = make_grid("whole")
+    motion = make_remount(0.8, radial=0.0)
+    found = align(relief(slick, grid), relief(slick, grid, motion, seed=1))
+    assert found.reason is None
+    assert abs(found.motion.values[0] - 0.8) < np.deg2rad(0.05)
+    assert found.groove_std_mm == 0.0
+
+
+def test_identity_is_certain():
+    assert not Alignment.identity().covariance.any()
+    assert Alignment.identity().reason is None

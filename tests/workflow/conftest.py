@@ -1,0 +1,76 @@
+"""A project of its own with a tiny archive, processed once; tests plan changes against it."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Project:
+    """A copy of the workflow beside an archive, both free to change."""
+
+    folder: Path
+
+    @property
+    def archive(self) -> Path:
+        return self.folder / "archive"
+
+    @property
+    def results(self) -> Path:
+        return self.folder / "results"
+
+    def run(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
+        """Run a program of the environment in the project's folder, with the copied package."""
+        environment = os.environ | {"PYTHONPATH": str(self.folder / "workflow")}
+        program = str(Path(sys.executable).parent / arguments[0])
+        done = subprocess.run(
+            [program, *arguments[1:]],
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert not check or done.returncode == 0, done.stdout + done.stderr
+        return done
+
+    def snakemake(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
+        return self.run("snakemake", "--cores", "2", *arguments, check=check)
+
+    def planned(self, *arguments: str) -> dict[str, int]:
+        """Jobs by rule that a dry run plans, but for `all`."""
+        done = self.snakemake("--dry-run", *arguments)
+        table = re.search(r"^job +count\n[- ]+\n(.*?)^total", done.stdout, re.M | re.S)
+        rows = table.group(1).split("\n") if table else []
+        counts = {row.split()[0]: int(row.split()[1]) for row in rows if row.strip()}
+        counts.pop("all", None)
+        return counts
+
+    def copy(self, folder: Path) -> "Project":
+        """The same project elsewhere, times of files kept."""
+        shutil.copytree(self.folder, folder, symlinks=True)
+        return Project(folder)
+
+
+@pytest.fixture(scope="session")
+def processed(tmp_path_factory) -> Project:
+    """The tiny archive, processed on two cores."""
+    project = Project(tmp_path_factory.mktemp("project") / "p")
+    project.folder.mkdir()
+    ignore = shutil.ignore_patterns("__pycache__", "*.egg-info")
+    for name in ("rules", "schemas", "workflow"):
+        shutil.copytree(ROOT / name, project.folder / name, ignore=ignore)
+    shutil.copy(ROOT / "Snakefile", project.folder)
+    (project.folder / "config").mkdir()
+    (project.folder / "config/config.yaml").write_text("archive: archive\nresults: results\n")
+    project.run("treadlight", "simulate", "archive", "--preset", "tiny")
+    project.snakemake()
+    return project

@@ -1,0 +1,1 @@
+"""Calibration: camera, reference plane, laser plane, rotation axis, LEDs, illumination."""

@@ -1,0 +1,98 @@
+"""`treadlight <command>`: finds the command's module, turns errors into one plain sentence."""
+
+import argparse
+import hashlib
+import importlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import treadlight
+from treadlight.errors import TreadlightError
+
+# Command name -> module below treadlight.commands, in the order of the pipeline.
+COMMANDS = {
+    "inspect": "inspect_capture",
+    "calibrate-camera": "calibrate_camera",
+    "calibrate-laser-plane": "calibrate_laser_plane",
+    "calibrate-axis": "calibrate_axis",
+    "calibrate-leds": "calibrate_leds",
+    "calibrate-illumination": "calibrate_illumination",
+    "calibrate": "calibrate",
+    "detect-laser-pixels": "detect_laser_pixels",
+    "triangulate": "triangulate",
+    "register-to-cylinder": "register_to_cylinder",
+    "photometric-stereo": "photometric_stereo",
+    "integrate": "integrate",
+    "wear": "wear",
+    "report": "report",
+    "index": "index",
+    "status": "status",
+    "evaluate": "evaluate",
+    "normals": "normals",
+    "simulate": "simulate",
+}
+_THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
+_PACKAGE = Path(treadlight.__file__).parent
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns the exit status (2 for a refusal that the user can mend)."""
+    argv = sys.argv[1:] if argv is None else argv
+    name = argv[0] if argv and argv[0] in COMMANDS else None
+    parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
+    parser.add_argument("--version", action="version", version=treadlight.__version__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+    # Only the wanted command is imported: --help and short commands stay fast.
+    for command in [name] if name else COMMANDS:
+        module = importlib.import_module(f"treadlight.commands.{COMMANDS[command]}")
+        summary = (module.__doc__ or "").strip().splitlines()[0]
+        sub = commands.add_parser(command, help=summary, description=module.__doc__)
+        sub.add_argument("--threads", type=int, default=os.cpu_count(), help="cores to use")
+        module.add_arguments(sub)
+        sub.set_defaults(run=module.run)
+    args = parser.parse_args(argv)
+    _limit_threads(args.threads)
+    try:
+        return int(args.run(args) or 0)
+    except TreadlightError as error:
+        print(f"treadlight {args.command}: {error}", file=sys.stderr)
+        return 2
+
+
+def _limit_threads(threads: int) -> None:
+    """Libraries read these when they are first imported, so commands import them lazily.
+
+    BLAS stays on one thread: its sums would otherwise depend on the number of cores.
+    """
+    numba = sys.modules.get("numba")
+    if numba is not None:
+        # Called from a running program, whose threads are there already: use fewer of them.
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        return
+    for variable in _THREAD_VARIABLES:
+        os.environ[variable] = str(threads)
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
+
+
+def kernel_cache() -> Path:
+    """Where compiled kernels are kept: one folder per state of the code that compiles any.
+
+    numba looks at the file of the calling kernel alone, so a changed kernel in another module
+    would live on in its callers.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        text = path.read_bytes()
+        if b"numba" in text:
+            digest.update(text)
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    if not os.access(home if home.exists() else home.parent, os.W_OK):
+        home = Path(tempfile.gettempdir())
+    return home / "treadlight" / f"kernels-{digest.hexdigest()[:16]}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

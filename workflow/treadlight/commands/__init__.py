@@ -1,0 +1,1 @@
+"""One module per `treadlight` command: reads, calls the stage's functions, writes."""

@@ -1,0 +1,121 @@
+"""Calibrate the LED positions from their highlights on chrome balls.
+
+Writes leds.json: the entry `leds` of a calibration (null without `balls` frames or without a
+reference plane).
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """CAPTURE, --camera and --out."""
+    from treadlight.commands.common import add_stage_arguments
+
+    parser.add_argument("capture", type=Path, help="folder of the calibration capture")
+    parser.add_argument("--camera", type=Path, required=True, help="camera.json")
+    parser.add_argument("--out", type=Path, required=True, help="leds.json to write")
+    add_stage_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Find balls and highlights, place the LEDs, publish."""
+    from treadlight import store
+    from treadlight.archive import read_capture
+    from treadlight.calibrate.balls import find_balls
+    from treadlight.calibrate.leds import calibrate_leds
+    from treadlight.commands.common import run_stage
+    from treadlight.images import FrameReader
+
+    capture = read_capture(args.capture)
+
+    def work() -> None:
+        rig = store.read_rig(args.camera)
+        frames, balls = capture.of_kind("balls"), capture.balls
+        if not frames or balls is None:
+            store.write_json(args.out, {"leds": None})
+            return
+        if rig.reference_plane is None:
+            print(
+                "LEDs: left out, the balls' height needs a frame of kind 'reference_board'.",
+                file=sys.stderr,
+            )
+            store.write_json(args.out, {"leds": None})
+            return
+        frames = tuple(sorted(frames, key=lambda frame: frame.led or 0))
+        reader = FrameReader(capture)
+        found = find_balls(
+            _Intensities(reader, frames),
+            rig.camera,
+            rig.reference_plane,
+            balls.count,
+            balls.diameter_mm,
+            balls.centre_height_mm,
+        )
+        if len(found.centres) < balls.count:
+            print(f"LEDs: {len(found.centres)} of {balls.count} balls found.", file=sys.stderr)
+        fits = calibrate_leds(rig.camera, found, [frame.led or 0 for frame in frames])
+        intensities = _intensities(capture, reader, rig, fits)
+        store.write_json(args.out, {"leds": _content(fits, intensities)})
+
+    return run_stage(
+        args,
+        inputs=[args.camera],
+        outputs=[args.out],
+        title="LED calibration",
+        source=capture.id,
+        work=work,
+    )
+
+
+class _Intensities(Sequence):
+    """The frames' intensities, decoded when asked for: one image is held at a time."""
+
+    def __init__(self, reader, frames):
+        self.reader, self.frames = reader, frames
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index):
+        return self.reader.read(self.frames[index]).intensity
+
+
+def _intensities(capture, reader, rig, fits):
+    """Relative intensity of each LED: from the card, or from what the balls lie on."""
+    import numpy as np
+
+    from treadlight.calibrate.illumination import CardFrame, plane_samples, relative_intensities
+
+    frames = {f.led: f for kind in ("balls", "card") for f in capture.of_kind(kind)}
+    if not {fit.number for fit in fits} <= {f.led for f in capture.of_kind("card")}:
+        # One kind for all: card and ground differ in albedo.
+        frames = {f.led: f for f in capture.of_kind("balls")}
+    samples = []
+    for fit in fits:
+        frame = frames[fit.number]
+        light = reader.read(frame)
+        exposed = light.intensity / np.float32(frame.exposure_s or 1.0)
+        card = CardFrame(fit.number, exposed, light.saturated)
+        samples.append(
+            plane_samples(card, fit.position, rig.reference_plane, rig.camera, albedo=1.0)
+        )
+    return relative_intensities(samples)
+
+
+def _content(fits, intensities) -> list[dict]:
+    return [
+        {
+            "led": fit.number,
+            "position": fit.position,
+            "intensity": float(intensity),
+            "residual_mm": {
+                "mean": float(fit.distances_mm.mean()),
+                "max": float(fit.distances_mm.max()),
+            },
+            "balls": len(fit.distances_mm),
+        }
+        for fit, intensity in zip(fits, intensities, strict=True)
+    ]

@@ -1,0 +1,121 @@
+"""What the commands share: settings, refusal, provenance, progress."""
+
+import argparse
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import treadlight
+from treadlight import store
+from treadlight.errors import CalibrationError, CaptureError, ConfigError
+
+T = TypeVar("T")
+_VERSIONED = ("numpy", "scipy", "opencv-python-headless", "zarr", "xarray", "open3d", "numba")
+
+
+def add_stage_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of every pipeline stage."""
+    parser.add_argument("--settings", default="{}", help="the stage's part of the config, as JSON")
+    parser.add_argument("--code", default="", help="digest of the stage's code, for provenance")
+
+
+def parse_settings(text: str, cls: type[T]) -> T:
+    """A settings dataclass from JSON.
+
+    Raises
+    ------
+    ConfigError
+        A key is unknown, or the text is no JSON mapping.
+    """
+    try:
+        values = json.loads(text)
+        return cls(**values)
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"--settings for {cls.__name__}: {error}.") from None
+
+
+def run_stage(
+    args: argparse.Namespace,
+    *,
+    inputs: Sequence[Path],
+    outputs: Sequence[Path],
+    title: str,
+    source: str,
+    work: Callable[[], None],
+) -> int:
+    """Run a stage's work; publish refused products where an input or a frame is unusable.
+
+    Parameters
+    ----------
+    args : the parsed arguments, with `settings` and `code`.
+    inputs, outputs : products, stores named by folder or root zarr.json.
+    title, source : of a refused product.
+    work : reads the inputs, computes, publishes the outputs.
+    """
+    reason = next((r for r in map(store.refused_reason, inputs) if r), None)
+    if reason is None:
+        try:
+            work()
+        except (CaptureError, CalibrationError) as error:
+            reason = str(error)
+    if reason is not None:
+        print(f"Refused: {reason}", file=sys.stderr)
+        for output in outputs:
+            store.write_refused(output, reason, title=title, source=source)
+    write_provenance(args, inputs, outputs)
+    return 0
+
+
+def write_provenance(
+    args: argparse.Namespace, inputs: Sequence[Path], outputs: Sequence[Path]
+) -> None:
+    """What a product was made from, in a file beside it that no rule reads."""
+    content = {
+        "command": args.command,
+        "treadlight": treadlight.__version__,
+        "code_digest": args.code,
+        "config_digest": hashlib.sha256(args.settings.encode()).hexdigest(),
+        "config": json.loads(args.settings),
+        "inputs": {_short(path): product_digest(path) for path in inputs},
+        "versions": {name: importlib.metadata.version(name) for name in _VERSIONED},
+    }
+    for output in outputs:
+        folder = store.store_folder(output)
+        store.write_json(folder.with_name(folder.name + ".provenance.json"), content)
+
+
+def _short(path: Path) -> str:
+    """A product's name without the place of the results folder."""
+    parts = store.store_folder(path).parts
+    return "/".join(parts[-3:])
+
+
+def product_digest(path: Path) -> str:
+    """The content digest of a store, or the SHA-256 of a file."""
+    folder = store.store_folder(path)
+    if folder.is_dir():
+        metadata = store.read_json(folder / store.ROOT_METADATA)
+        return str(metadata["attributes"]["content_digest"])
+    return hashlib.sha256(folder.read_bytes()).hexdigest()
+
+
+def progress(items: Iterable[T], label: str, every_s: float = 5.0) -> Iterator[T]:
+    """Yield the items, saying on stderr how far the work is, every few seconds."""
+    items = list(items)
+    last = time.monotonic()
+    for done, item in enumerate(items):
+        if time.monotonic() - last > every_s:
+            print(f"{label}: {done} of {len(items)}", file=sys.stderr, flush=True)
+            last = time.monotonic()
+        yield item
+
+
+def settings_defaults(cls: type) -> dict[str, Any]:
+    """The defaults of a settings dataclass by name."""
+    return {field.name: field.default for field in dataclasses.fields(cls)}

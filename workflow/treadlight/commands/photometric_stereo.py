@@ -1,0 +1,202 @@
+"""Surface normals of one field of view by specular photometric stereo (algorithm 4).
+
+Each pixel's scene point is where its viewing ray meets the current surface; light and view
+vectors, irradiance and cast shadows follow from it. Writes normals, k_d, k_s, alpha, residual,
+LEDs used, the scene point and flags per pixel (photometric.zarr/fovNN).
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from treadlight.commands import common
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+    from treadlight.archive import Capture, Frame
+    from treadlight.geometry import CylinderGrid, Rig
+    from treadlight.photometric.view import View, ViewNormals
+
+_LONG_NAMES = {
+    "k_d": "diffuse reflectance factor",
+    "k_s": "specular reflectance factor",
+    "alpha": "shininess exponent",
+    "residual": "mean relative rerendering error",
+    "leds_used": "LEDs that the fit used",
+    "r": "radius of the assumed scene point",
+    "theta": "angle of the assumed scene point",
+    "z": "axial place of the assumed scene point",
+}
+_UNITS = {"r": "mm", "theta": "rad", "z": "mm"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("capture", type=Path, help="folder of the measurement capture")
+    parser.add_argument("--view", type=int, required=True, help="field-of-view number")
+    parser.add_argument("--calibration", type=Path, required=True, help="calibration.json")
+    parser.add_argument("--illumination", type=Path, required=True, help="illumination.zarr")
+    parser.add_argument(
+        "--surface", type=Path, required=True, help="surface.zarr or profile.zarr: r(theta, z)"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="photometric.zarr/fovNN")
+    common.add_stage_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    from treadlight import store
+    from treadlight.archive import read_capture
+    from treadlight.photometric.settings import PhotometrySettings
+    from treadlight.photometric.view import needed_rows, part_of, solve_view
+
+    settings = common.parse_settings(args.settings, PhotometrySettings)
+    capture = read_capture(args.capture)
+    title = f"Surface normals of view {args.view}"
+    out = store.store_folder(args.out)
+
+    def work() -> None:
+        rig = store.read_rig(args.calibration)
+        view = _read_view(capture, args.view, rig, args.illumination)
+        surface = store.open_store(args.surface)
+        grid = _grid(surface)
+        # A whole turn at full size is gigabytes: only what the view needs is read.
+        rows = needed_rows(view, grid)
+        part = surface[["r", "r_std"]].isel(theta=rows).load()
+        found = solve_view(
+            view,
+            part_of(grid, rows),
+            part["r"].to_numpy(),
+            part["r_std"].to_numpy(),
+            settings.max_refinements,
+        )
+        store.write_store(out, _dataset(found), title=title, source=capture.id)
+
+    return common.run_stage(
+        args,
+        inputs=[args.calibration, args.illumination, args.surface],
+        outputs=[out],
+        title=title,
+        source=capture.id,
+        work=work,
+    )
+
+
+def _grid(surface: "xr.Dataset") -> "CylinderGrid":
+    from treadlight.geometry import CylinderGrid
+
+    return CylinderGrid(
+        surface["theta"].to_numpy(),
+        surface["z"].to_numpy(),
+        float(surface.attrs["nominal_radius_mm"]),
+    )
+
+
+def _read_view(capture: "Capture", number: int, rig: "Rig", illumination: Path) -> "View":
+    """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
+
+    Raises
+    ------
+    CalibrationError
+        The rotation axis or the LEDs are not calibrated.
+    CaptureError
+        There is no such view, too few of its LEDs are calibrated, or a frame is unusable.
+    """
+    import math
+
+    from treadlight import store
+    from treadlight.errors import CalibrationError, CaptureError
+    from treadlight.photometric.observations import MIN_LEDS
+    from treadlight.photometric.view import View
+
+    if rig.axis is None:
+        raise CalibrationError(
+            f"{capture.id}: the calibration has no rotation axis, which normals need. Add"
+            " axis_board frames to the calibration capture."
+        )
+    if not rig.leds:
+        raise CalibrationError(
+            f"{capture.id}: the calibration has no LED positions, which normals need. Add balls"
+            " frames to the calibration capture."
+        )
+    if rig.reference_plane is None:
+        raise CalibrationError(
+            f"{capture.id}: the calibration has no reference plane, which the illumination needs."
+            " Add a reference_board frame to the calibration capture."
+        )
+    light = store.read_illumination(illumination, rig)
+    index = {led.number: k for k, led in enumerate(light.leds)}
+    frames = [f for f in capture.view(number) if f.led in index]
+    if len(frames) < MIN_LEDS:
+        raise CaptureError(
+            f"{capture.id}, view {number}: {len(frames)} of its LED frames have a calibrated LED."
+            f" Specular photometric stereo needs {MIN_LEDS}; add frames or calibrate more LEDs."
+        )
+    intensity, noise = read_frames(capture, frames)
+    return View(
+        intensity=intensity,
+        noise=noise,
+        leds=tuple(index[f.led] for f in frames if f.led is not None),
+        light=light,
+        camera=rig.camera,
+        axis=rig.axis,
+        encoder=math.radians(frames[0].encoder_deg or 0.0),
+    )
+
+
+def read_frames(capture: "Capture", frames: "list[Frame]") -> tuple["np.ndarray", "np.ndarray"]:
+    """Intensity over exposure (n_leds, h, w), NaN where saturated, and its noise in the dark."""
+    import numpy as np
+
+    from treadlight.images import FrameReader
+    from treadlight.photometric.noise import dark_noise
+
+    reader = FrameReader(capture)
+    width, height = capture.encoding.size_px
+    intensity = np.empty((len(frames), height, width), np.float32)
+    known = [f.exposure_s for f in frames if f.exposure_s]
+    # An exposure that is not known makes all of the view count as equal.
+    exposures = known if len(known) == len(frames) else [1.0] * len(frames)
+    for m, (frame, exposure) in enumerate(zip(frames, exposures, strict=True)):
+        linear = reader.read(frame)
+        intensity[m] = np.where(linear.saturated, np.nan, linear.intensity / np.float32(exposure))
+    return intensity, np.array([dark_noise(frame) for frame in intensity])
+
+
+def _dataset(found: "ViewNormals") -> "xr.Dataset":
+    import numpy as np
+    import xarray as xr
+
+    from treadlight import store
+    from treadlight.photometric.observations import FLAGS
+
+    pixel = ("v", "u")
+    variables = {
+        "normal": store.variable(
+            (*pixel, "component"), found.normal, "1", "unit normal in the basis (r, theta, z)"
+        ),
+        "normal_cov": store.variable(
+            (*pixel, "tilt"),
+            found.normal_cov,
+            "rad2",
+            "var(n_theta), cov(n_theta, n_z), var(n_z) of the normal",
+        ),
+        "quality": store.variable(
+            pixel, found.quality, "1", "quality flags", **store.flag_attrs(FLAGS)
+        ),
+    }
+    for name, long_name in _LONG_NAMES.items():
+        values = getattr(found, name)
+        variables[name] = store.variable(pixel, values, _UNITS.get(name, "1"), long_name)
+    height, width = found.quality.shape
+    coordinates = {
+        "v": store.variable(("v",), np.arange(height), "pixel", "image row"),
+        "u": store.variable(("u",), np.arange(width), "pixel", "image column"),
+        "component": store.variable(
+            ("component",), np.array(["r", "theta", "z"]), "1", "component of a vector"
+        ),
+        "tilt": store.variable(
+            ("tilt",), np.array(["tt", "tz", "zz"]), "1", "entry of the covariance"
+        ),
+    }
+    return xr.Dataset(variables, coordinates)

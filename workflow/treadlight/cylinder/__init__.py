@@ -1,0 +1,29 @@
+"""Laser sections in the tire frame, the profile's grid, and the first surface r(theta, z)."""
+
+from treadlight.cylinder.extent import Extent, choose_grid, pixel_size_mm, view_extent
+from treadlight.cylinder.registration import FLAGS, Sections, closure_mm, register_sections
+from treadlight.cylinder.settings import CylinderSettings
+from treadlight.cylinder.surface import (
+    SURFACE_FLAGS,
+    Surface,
+    first_surface,
+    lay_surface,
+    nominal_surface,
+)
+
+__all__ = [
+    "FLAGS",
+    "SURFACE_FLAGS",
+    "CylinderSettings",
+    "Extent",
+    "Sections",
+    "Surface",
+    "choose_grid",
+    "closure_mm",
+    "first_surface",
+    "lay_surface",
+    "nominal_surface",
+    "pixel_size_mm",
+    "register_sections",
+    "view_extent",
+]

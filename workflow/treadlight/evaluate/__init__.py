@@ -1,0 +1,1 @@
+"""Results held against truth; the only code that opens a capture's truth/."""

@@ -1,0 +1,134 @@
+"""From stored counts to corrected intensity, as capture-format.md defines it."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from treadlight.archive import Capture, Frame
+from treadlight.errors import CaptureError
+
+_CHANNELS = {"blue": 0, "green": 1, "red": 2}
+
+
+@dataclass(frozen=True)
+class LinearFrame:
+    """One image as light.
+
+    Attributes
+    ----------
+    intensity : (h, w) float32
+        Linear, dark subtracted; 1 is full scale of the stored type, before any division by
+        exposure.
+    saturated : (h, w) bool
+        Stored counts at or above the white level, in any channel that counts.
+    """
+
+    intensity: np.ndarray
+    saturated: np.ndarray
+
+
+class FrameReader:
+    """Reads the frames of one capture; holds the capture's mean dark frame."""
+
+    def __init__(self, capture: Capture):
+        self.capture = capture
+        darks = [self._decode(frame) for frame in capture.of_kind("dark")]
+        self._dark: np.ndarray | None = None
+        if darks:
+            linear = [_as_channels(self._linear(counts)) for counts in darks]
+            self._dark = np.asarray(np.mean(linear, axis=0, dtype=np.float64), np.float32)
+
+    def read(self, frame: Frame) -> LinearFrame:
+        """The frame as light: `laser.channel` for laser frames, the mean of channels else.
+
+        Raises
+        ------
+        CaptureError
+            The file is damaged or differs from what the manifest says.
+        """
+        counts = self._decode(frame)
+        channels = self._select(counts, frame)
+        saturated = np.any(channels >= self.capture.encoding.white_level, axis=2)
+        linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
+        return LinearFrame(linear.mean(axis=2, dtype=np.float32), saturated)
+
+    def _decode(self, frame: Frame) -> np.ndarray:
+        path = self.capture.path(frame)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise CaptureError(
+                f"{path}: cannot be read ({error.strerror}). Restore the image or drop its row."
+            ) from None
+        if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256:
+            raise CaptureError(
+                f"{path}: its content differs from sha256 in frames.csv. Restore the image, or"
+                " correct the digest if the change was meant."
+            )
+        # OpenCV raises on an empty buffer, and returns None for any other that it cannot decode.
+        image = cv2.imdecode(np.frombuffer(data or b"0", np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise CaptureError(f"{path}: cannot be decoded. Restore the image or drop its row.")
+        width, height = self.capture.encoding.size_px
+        if image.shape[:2] != (height, width) or image.dtype not in (np.uint8, np.uint16):
+            raise CaptureError(
+                f"{path}: is {image.shape[1]}x{image.shape[0]} {image.dtype}. capture.yaml says"
+                f" camera.size_px: [{width}, {height}], with 8 or 16 bits."
+            )
+        return image if image.ndim == 3 else image[:, :, None]
+
+    def _select(self, counts: np.ndarray, frame: Frame) -> np.ndarray:
+        """The channels that count for this kind of frame, (h, w, 1 or 3)."""
+        if counts.shape[2] < 3:
+            return counts[:, :, :1]
+        if frame.kind in ("laser", "board_laser") and self.capture.laser_channel != "mono":
+            index = _CHANNELS[self.capture.laser_channel]
+            return counts[:, :, index : index + 1]
+        return counts[:, :, :3]
+
+    def _black(self, frame: Frame, full_scale: int) -> np.ndarray:
+        if self._dark is not None:
+            return self._select(self._dark, frame)
+        black = np.full((1, 1, 1), self.capture.encoding.black_level / full_scale, np.float32)
+        return _to_linear(black, self.capture.encoding.curve)
+
+    def _linear(self, counts: np.ndarray) -> np.ndarray:
+        """Counts as linear light: 1 is full scale of the stored type."""
+        scale = np.float32(1 / np.iinfo(counts.dtype).max)
+        return _to_linear(counts * scale, self.capture.encoding.curve)
+
+
+def _as_channels(linear: np.ndarray) -> np.ndarray:
+    """A mono dark frame applies to every channel."""
+    return linear if linear.shape[2] >= 3 else np.repeat(linear[:, :, :1], 3, axis=2)
+
+
+def _to_linear(value: np.ndarray, curve: str) -> np.ndarray:
+    """Undo the sRGB transfer curve (IEC 61966-2-1); linear values pass."""
+    if curve == "linear":
+        return value
+    low = value / np.float32(12.92)
+    high = ((np.maximum(value, 0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+    return np.where(value <= 0.04045, low, high).astype(np.float32)
+
+
+def read_header(path: Path) -> tuple[int, int, int]:
+    """Width, height and bits per channel of an image, without decoding its pixels.
+
+    Raises
+    ------
+    CaptureError
+        The file is no PNG, TIFF or JPEG of 8 or 16 bits.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path, formats=("PNG", "TIFF", "JPEG")) as image:
+            bits = 16 if image.mode.startswith("I") else 8
+            return image.width, image.height, bits
+    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
+        reason = type(error).__name__
+        raise CaptureError(f"{path}: is no readable PNG, TIFF or JPEG ({reason}).") from None

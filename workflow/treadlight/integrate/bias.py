@@ -1,0 +1,278 @@
+"""The smooth bias of photometric slopes, estimated against the laser sections.
+
+Errors of the light model, of the material and interreflection tilt all normals of a region
+alike: over the gap between two sections a degree adds up to a fifth of a millimetre, where noise
+averages out. The sections say how large it is.
+"""
+
+import numpy as np
+from scipy import ndimage
+
+from treadlight.geometry import CylinderGrid
+from treadlight.integrate.edges import CHI2_MEDIAN
+from treadlight.integrate.gather import ViewField
+from treadlight.integrate.laser import LaserCells
+
+# Bias over a view: polynomials of the place in it up to this degree, as many as the points tell.
+_MAX_DEGREE = 5
+# Neighbouring points of a section share speckle and smoothing: about this many make one.
+_CORRELATED_POINTS = 3
+_ROUNDS = 12
+# Tukey's biweight keeps 95 % efficiency at this many standard deviations.
+_TUKEY = 4.685
+_LEAST_PAIRS = 100
+# Steeper cells are walls of something, and cells much less certain than usual stand beside them;
+# so do their neighbours.
+_WALL_SLOPE = 0.35
+_UNSURE = 9.0
+_MARGIN_CELLS = 1
+_LEAST_GOOD = 0.5
+_Z_LAGS = (0.5, 1 / 6)
+
+
+def remove_bias(
+    field: ViewField,
+    laser: LaserCells,
+    depth: np.ndarray,
+    steps: np.ndarray,
+    spacing: float,
+    grid: CylinderGrid,
+) -> ViewField:
+    """The view's slopes less their smooth bias, their variance with what is left of it.
+
+    Slopes stay as they are where too few laser points tell of them.
+
+    Pairs of laser points, neighbouring sections at one z for dr / (r dtheta), places of one
+    section half as far apart for dr / dz, are compared with the integral of the slopes between
+    them. The mean excess slope of a pair is taken at its middle, and a smooth function is
+    fitted robustly: paths across a step that the first
+    surface does not know stand out and do not count.
+
+    Parameters
+    ----------
+    field : ViewField
+        k rows.
+    laser : LaserCells
+    depth : (n, m) float
+        How deep the first surface lies below the outline, 0 on tops to 1 on groove floors.
+    steps : (n, m) bool
+        Where the first surface has a step: no path may cross it.
+    spacing : float
+        Distance of sections, cells along theta.
+    grid : CylinderGrid
+    """
+    n = grid.shape[0]
+    local = (laser.row - field.rows[0]) % n if grid.periodic else laser.row - field.rows[0]
+    inside = (local >= 0) & (local < len(field.rows))
+    laser, local = laser.select(inside), local[inside]
+    paths = _Paths(field, steps[field.rows], grid)
+    slope, variance = field.slope.copy(), field.variance.copy()
+    rows, columns = np.arange(len(field.rows))[:, None], np.arange(grid.shape[1])[None]
+    for k, (a, b) in enumerate(
+        [_theta_pairs(local, laser, spacing), _z_pairs(local, laser, spacing)]
+    ):
+        excess, length = paths.excess(a, b, local, laser, k)
+        known = np.isfinite(excess)
+        if known.sum() < _LEAST_PAIRS:
+            continue
+        a, b, excess, length = a[known], b[known], excess[known], length[known]
+        middle = (local[a] + local[b]) // 2, (laser.column[a] + laser.column[b]) // 2
+        coefficients, degree, grooves = _best_fit(middle, field, depth, excess / length, length, k)
+        slope[k] += _evaluate(coefficients, rows, columns, degree, grooves, field, depth)
+        fitted = _evaluate(coefficients, *middle, degree, grooves, field, depth)
+        miss = excess - fitted * length
+        noise = laser.std[a] ** 2 + laser.std[b] ** 2
+        variance[k] += np.float32(_path_variance(miss, noise, length, paths.spacing[k]))
+    return ViewField(field.rows, slope, variance, field.material, field.flags, field.blend)
+
+
+def _best_fit(
+    middle: tuple[np.ndarray, np.ndarray],
+    field: ViewField,
+    depth: np.ndarray,
+    values: np.ndarray,
+    length: np.ndarray,
+    axis: int,
+) -> tuple[np.ndarray, int, bool]:
+    """Coefficients, degree and whether grooves have their own plane, by Schwarz's criterion.
+
+    More terms than the points can tell would only carry the laser's noise into the slopes. Across
+    a groove (axis 1) paths are too short to tell its own tilt from that of its walls.
+    """
+    best: tuple[float, np.ndarray, int, bool] | None = None
+    count = len(values) / _CORRELATED_POINTS
+    for degree in range(_MAX_DEGREE + 1):
+        for grooves in (False, True) if axis == 0 else (False,):
+            basis = _basis(*middle, degree, grooves, field, depth).T
+            if basis.shape[1] > count / 4:
+                continue
+            coefficients, spread = _robust_fit(basis, values, length)
+            score = 2 * count * np.log(spread) + basis.shape[1] * np.log(count)
+            if best is None or score < best[0]:
+                best = score, coefficients, degree, grooves
+    assert best is not None
+    return best[1:]
+
+
+def _evaluate(
+    coefficients: np.ndarray,
+    row: np.ndarray,
+    column: np.ndarray,
+    degree: int,
+    grooves: bool,
+    field: ViewField,
+    depth: np.ndarray,
+) -> np.ndarray:
+    basis = _basis(row, column, degree, grooves, field, depth)
+    return np.tensordot(coefficients.astype(np.float32), basis, axes=1)
+
+
+def _basis(
+    row: np.ndarray,
+    column: np.ndarray,
+    degree: int,
+    grooves: bool,
+    field: ViewField,
+    depth: np.ndarray,
+) -> np.ndarray:
+    """The smooth functions (f, ...) at cells of the view: Legendre polynomials of the place."""
+    x = 2 * row / max(len(field.rows) - 1, 1) - 1 + 0.0 * column
+    y = 2 * column / max(depth.shape[1] - 1, 1) - 1 + 0.0 * row
+    along, across = (_legendre(v.astype(np.float32), max(degree, 1)) for v in (x, y))
+    terms = [along[a] * across[b] for a in range(degree + 1) for b in range(degree + 1 - a)]
+    if grooves:
+        sunk = depth[field.rows[row], column]
+        terms += [sunk, sunk * along[1], sunk * across[1]]
+    return np.stack(terms)
+
+
+def _legendre(x: np.ndarray, degree: int) -> list[np.ndarray]:
+    """Legendre polynomials of orders 0 to `degree` (at least 1), by their recurrence."""
+    values = [np.ones_like(x), x]
+    for n in range(1, degree):
+        values.append(((2 * n + 1) * x * values[n] - n * values[n - 1]) / np.float32(n + 1))
+    return values
+
+
+def _path_variance(
+    miss: np.ndarray, laser: np.ndarray, length: np.ndarray, spacing: float
+) -> float:
+    """Variance of a cell's slope under which the slopes' integrals miss the laser as they do.
+
+    What is left of the bias is correlated over many cells. As independent noise of the cells it
+    must have the same variance over the distance of two sections: that is what decides between
+    slopes and laser. The median is robust against unknown steps.
+
+    Parameters
+    ----------
+    miss : (k,) float
+        Laser's height difference less the slopes' over the longer paths, mm.
+    laser : (k,) float
+        Variance of the laser's difference, mm^2.
+    length : (k,) float
+        Of the paths, mm.
+    spacing : float
+        Of the cells, mm.
+    """
+    # Pairs come in two usual lengths, and a few are longer, across a section that has no point
+    # because there is a slot: those few would tell of slots.
+    long = length > 0.5 * np.percentile(length, 75)
+    spread = np.median(miss[long] ** 2) / CHI2_MEDIAN - np.median(laser[long])
+    return float(max(spread, 0.0) / (np.median(length[long]) * spacing))
+
+
+class _Paths:
+    """Mean slopes along rows and columns, over the cells that can be trusted.
+
+    Sipes and slots that the first surface does not know are bridged: the tread stands equally
+    high on both sides.
+    """
+
+    def __init__(self, field: ViewField, steps: np.ndarray, grid: CylinderGrid):
+        slope = field.slope
+        self.spacing = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
+        self._steps = [np.cumsum(steps, axis=k) for k in range(2)]
+        with np.errstate(invalid="ignore"):
+            good = (np.abs(slope) < _WALL_SLOPE).all(axis=0)
+            usual = np.nanmedian(field.variance, axis=(1, 2)) if good.any() else np.ones(2)
+            good &= (field.variance < _UNSURE * usual[:, None, None]).all(axis=0)
+        good = ndimage.binary_erosion(good, iterations=_MARGIN_CELLS)
+        self._good = [np.cumsum(good, axis=k) for k in range(2)]
+        self._sums = [
+            np.cumsum(np.where(good, slope[k].astype(np.float64), 0.0), axis=k) for k in range(2)
+        ]
+
+    def excess(
+        self, a: np.ndarray, b: np.ndarray, row: np.ndarray, laser: LaserCells, axis: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Laser's height difference of pairs less the slopes' along z, then theta; lengths, mm.
+
+        NaN where the path crosses a step or finds too few slopes.
+        """
+        corner = row[a], laser.column[b]
+        total = self._between(0, corner, (row[b], laser.column[b]))
+        total += self._between(1, (row[a], laser.column[a]), corner)
+        cells = (row[b] - row[a]) if axis == 0 else (laser.column[b] - laser.column[a])
+        return laser.value[b] - laser.value[a] - total, cells * self.spacing[axis]
+
+    def _between(self, k: int, start: tuple, end: tuple) -> np.ndarray:
+        cells = end[k] - start[k]
+        count = self._good[k][end] - self._good[k][start]
+        total = self._sums[k][end] - self._sums[k][start]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rise = np.where(cells == 0, 0.0, total / count * cells * self.spacing[k])
+        enough = (np.abs(count) >= _LEAST_GOOD * np.abs(cells)) & (
+            self._steps[k][start] == self._steps[k][end]
+        )
+        return np.where(enough, rise, np.nan)
+
+
+def _theta_pairs(
+    row: np.ndarray, laser: LaserCells, spacing: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of neighbouring sections in one column."""
+    order = np.lexsort((row, laser.column))
+    a, b = order[:-1], order[1:]
+    gap = row[b] - row[a]
+    near = (laser.column[a] == laser.column[b]) & (gap > 0.25 * spacing) & (gap < 3 * spacing)
+    return a[near], b[near]
+
+
+def _z_pairs(row: np.ndarray, laser: LaserCells, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points of one section a half and a sixth (for grooves) of the sections' distance apart."""
+    order = np.lexsort((laser.column, laser.section))
+    starts, ends = [order[:0]], [order[:0]]
+    for lag in sorted({max(2, round(share * spacing)) for share in _Z_LAGS}):
+        a, b = order[:-lag], order[lag:]
+        gap = laser.column[b] - laser.column[a]
+        near = (laser.section[a] == laser.section[b]) & (gap > 0.5 * lag) & (gap < 2 * lag)
+        starts.append(a[near])
+        ends.append(b[near])
+    return np.concatenate(starts), np.concatenate(ends)
+
+
+def _robust_fit(
+    basis: np.ndarray, values: np.ndarray, lengths: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Tukey's biweight from a start of least absolute values; noise goes with 1 / length.
+
+    Each coefficient has a prior about zero as wide as the values themselves: where outliers leave
+    a corner of the view without a point, the polynomial stays at what its neighbours say.
+
+    Returns the coefficients and the residuals' robust standard deviation.
+    """
+    scale = lengths / np.median(lengths)
+    design, target = basis.astype(np.float64) * scale[:, None], values * scale
+    usual = 1.4826 * float(np.median(np.abs(target))) + 1e-12
+    weight, spread = np.ones(len(target)), usual
+    for k in range(_ROUNDS):
+        lhs = (design * weight[:, None]).T @ design
+        lhs += (spread / usual) ** 2 * np.eye(len(lhs))
+        coefficients = np.linalg.solve(lhs, (design * weight[:, None]).T @ target)
+        miss = np.abs(target - design @ coefficients)
+        spread = 1.4826 * float(np.median(miss)) + 1e-12
+        if k < _ROUNDS // 2:
+            weight = spread / np.maximum(miss, 0.1 * spread)
+        else:
+            weight = np.maximum(1 - (miss / (_TUKEY * spread)) ** 2, 0) ** 2
+    return coefficients, spread

@@ -1,0 +1,169 @@
+"""Edges of the grid: what photometry says of the height difference between neighbouring cells."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+
+from treadlight.geometry import CylinderGrid
+from treadlight.integrate.gather import ViewField
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """All views merged on the grid (n, m).
+
+    Attributes
+    ----------
+    slope : (2, n, m) float32
+        dr / (r dtheta) and dr / dz, mm per mm; NaN where no view has one.
+    variance : (2, n, m) float32
+    material : (3, n, m) float32
+        k_d, k_s, alpha.
+    flags : (2, n, m) float32
+        Share of pixels that are shadowed, saturated.
+    """
+
+    slope: np.ndarray
+    variance: np.ndarray
+    material: np.ndarray
+    flags: np.ndarray
+
+
+def merge_views(fields: list[ViewField], grid: CylinderGrid) -> Photometry:
+    """Views blended by their information times their `blend`, so that no seam shows.
+
+    The merged information is that of the views, each counted by its blend relative to the
+    largest one in the cell.
+    """
+    n, m = grid.shape
+    slope = np.zeros((2, n, m), np.float32)
+    information = np.zeros((2, n, m), np.float32)
+    material = np.zeros((3, n, m), np.float32)
+    flags = np.zeros((2, n, m), np.float32)
+    lit = np.zeros((n, m), np.float32)
+    seen = np.zeros((n, 1), np.float32)
+    largest = np.zeros((n, m), np.float32)
+    for field in fields:
+        blend = field.blend[:, None]
+        known = np.isfinite(field.slope[0])
+        share = np.where(known, blend / field.variance, 0)
+        slope[:, field.rows] += np.where(known, share * field.slope, 0)
+        information[:, field.rows] += share
+        material[:, field.rows] += np.where(known, blend * field.material, 0)
+        lit[field.rows] += known * blend
+        largest[field.rows] = np.maximum(largest[field.rows], known * blend)
+        flags[:, field.rows] += blend * field.flags
+        seen[field.rows] += blend
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Photometry(
+            slope=np.where(lit > 0, slope / information, np.nan).astype(np.float32),
+            variance=np.where(lit > 0, largest / information, np.nan).astype(np.float32),
+            material=np.where(lit > 0, material / lit, np.nan).astype(np.float32),
+            flags=np.where(seen > 0, flags / seen, 0).astype(np.float32),
+        )
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Height differences to the next cell: index 0 along theta, 1 along z.
+
+    Attributes
+    ----------
+    step : (2, n, m) float32
+        Expected difference, mm.
+    weight : (2, n, m) float32
+        1 / variance, mm^-2; 0 where there is no edge (after the last column; after the last
+        row of an open grid).
+    photometric : (2, n, m) bool
+        Whether the difference comes from normals on both sides; else it is the first surface's.
+    """
+
+    step: np.ndarray
+    weight: np.ndarray
+    photometric: np.ndarray
+
+
+def build_edges(
+    slope: np.ndarray,
+    variance: np.ndarray,
+    surface: np.ndarray,
+    surface_edge_std: np.ndarray,
+    grid: CylinderGrid,
+) -> Edges:
+    """Edges from slopes on the cells; from the first surface where a side has no slope.
+
+    A photometric edge is the mean slope of its two cells times the distance of their centres
+    (along theta at the surface's radius, because p is strictly d ln r / dtheta). Its variance is
+    that of one cell's slope, not half of it: along a path every cell counts once.
+
+    Parameters
+    ----------
+    slope, variance : (2, n, m) float
+    surface : (n, m) float
+        First surface, mm, NaN where unknown.
+    surface_edge_std : (n, m) float
+        Standard deviation of the first surface's difference between neighbours, mm.
+    grid : CylinderGrid
+    """
+    step = np.zeros(slope.shape, np.float32)
+    weight = np.zeros(slope.shape, np.float32)
+    photometric = np.zeros(slope.shape, bool)
+    _fill(slope[0], variance[0], surface, surface_edge_std, True, grid.periodic,
+          grid.step_theta, step[0], weight[0], photometric[0])  # fmt: skip
+    _fill(slope[1], variance[1], surface, surface_edge_std, False, False,
+          grid.step_z, step[1], weight[1], photometric[1])  # fmt: skip
+    return Edges(step, weight, photometric)
+
+
+@njit(cache=True, parallel=True)
+def _fill(slope, variance, surface, edge_std, along_theta, periodic, spacing, step, weight, known):
+    n, m = surface.shape
+    for row in prange(n):
+        i = np.int64(row)
+        for j in range(m):
+            a = i + 1 if along_theta else i
+            b = j if along_theta else j + 1
+            if a == n:
+                if not periodic:
+                    continue
+                a -= n
+            if b == m:
+                continue
+            length = spacing
+            if along_theta:
+                length = spacing * 0.5 * (surface[i, j] + surface[a, b])
+            mean = 0.5 * (slope[i, j] + slope[a, b])
+            if np.isfinite(mean) and np.isfinite(length):
+                step[i, j] = length * mean
+                spread = 0.5 * (variance[i, j] + variance[a, b])
+                weight[i, j] = 1 / (length * length * spread)
+                known[i, j] = True
+            else:
+                jump = surface[a, b] - surface[i, j]
+                if np.isfinite(jump):
+                    step[i, j] = jump
+                    weight[i, j] = 1 / (edge_std[i, j] * edge_std[a, b])
+
+
+def curl_scale(slope: np.ndarray, variance: np.ndarray, grid: CylinderGrid) -> float:
+    """How much larger the slopes' noise is than said: ratio of standard deviations.
+
+    A surface has no curl, so the sum of the edges around each square of four cells is noise.
+    The median of its square over the variance predicted is robust against the squares that a
+    step crosses. 1 where there are no squares.
+    """
+    x, z = grid.step_theta * grid.nominal_radius_mm, grid.step_z
+    p, q = slope
+    across = p[:-1, :-1] + p[1:, :-1] - p[:-1, 1:] - p[1:, 1:]
+    along = q[1:, :-1] + q[1:, 1:] - q[:-1, :-1] - q[:-1, 1:]
+    spread = [v[:-1, :-1] + v[1:, :-1] + v[:-1, 1:] + v[1:, 1:] for v in variance]
+    ratio = (x * across + z * along) ** 2 / (x * x * spread[0] + z * z * spread[1])
+    ratio = ratio[np.isfinite(ratio)]
+    if not ratio.size:
+        return 1.0
+    return float(np.sqrt(np.median(ratio) / CHI2_MEDIAN))
+
+
+# Median of the chi-squared distribution with one degree of freedom.
+CHI2_MEDIAN = 0.4549364

@@ -1,0 +1,163 @@
+"""From the normals of a view to slopes of the surface on the cells of the profile's grid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from treadlight.geometry import CylinderGrid
+
+FLAGS = ("shadowed", "saturated")
+# A cell has a slope where at least this much of a pixel fell on it (bilinear shares add up to
+# about one where the view has a pixel per cell).
+_LEAST_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class ViewNormals:
+    """What the photometric stage found in one view.
+
+    Attributes
+    ----------
+    normal : (v, u, 3) float
+        Unit normals, local basis (r, theta, z) of {T}; NaN where there is none.
+    covariance : (v, u, 3) float
+        Variances and covariance of the components n_theta and n_z (tt, tz, zz), rad^2.
+    r, theta, z : (v, u) float
+        Scene point of the pixel in {T}, mm, rad, mm.
+    material : (v, u, 3) float
+        k_d, k_s, alpha.
+    shadowed, saturated : (v, u) bool
+    """
+
+    normal: np.ndarray
+    covariance: np.ndarray
+    r: np.ndarray
+    theta: np.ndarray
+    z: np.ndarray
+    material: np.ndarray
+    shadowed: np.ndarray
+    saturated: np.ndarray
+
+
+@dataclass(frozen=True)
+class ViewField:
+    """One view on the rows of the grid that it covers; k rows, m columns.
+
+    Attributes
+    ----------
+    rows : (k,) int
+        Rows of the grid, consecutive (modulo its length on a whole turn).
+    slope : (2, k, m) float32
+        dr / (r dtheta) and dr / dz, mm per mm; NaN where there is none.
+    variance : (2, k, m) float32
+        Of the slopes.
+    material : (3, k, m) float32
+    flags : (2, k, m) float32
+        Share of the cell's pixels that are shadowed, saturated.
+    blend : (k,) float32
+        1 in the middle of the view, falling linearly to its ends.
+    """
+
+    rows: np.ndarray
+    slope: np.ndarray
+    variance: np.ndarray
+    material: np.ndarray
+    flags: np.ndarray
+    blend: np.ndarray
+
+
+def view_field(view: ViewNormals, grid: CylinderGrid) -> ViewField | None:
+    """Slopes of a view on the grid; None where it has no pixel on it.
+
+    The slopes are p = -n_theta / n_r and q = -n_z / n_r, with the variances that the normal's
+    covariance gives to first order. Each pixel is shared bilinearly among the four cells around
+    its scene point, weighted by its information (1 / variance).
+    """
+    row, column = grid.index(view.theta, view.z)
+    inside = np.isfinite(row) & np.isfinite(column)
+    if not grid.periodic:
+        inside &= (row > -0.5) & (row < grid.shape[0] - 0.5)
+    inside &= (column > -0.5) & (column < grid.shape[1] - 0.5)
+    if not inside.any():
+        return None
+    rows = _rows_covered(row[inside], grid)
+    local = (row[inside] - rows[0]) % grid.shape[0] if grid.periodic else row[inside] - rows[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        n_r, n_t, n_z = (view.normal[inside, k].astype(np.float64) for k in range(3))
+        slope = np.stack([-n_t / n_r, -n_z / n_r])
+        steep = 1 + slope**2
+        stretch = slope[0] ** 2 + slope[1] ** 2 + 1
+        tilt = view.covariance[inside][:, [0, 2]].T.astype(np.float64)
+        # n_r follows from |n| = 1: dp = (1 + p^2) sqrt(1 + p^2 + q^2) dn_theta, and so for q.
+        variance = steep**2 * stretch * tilt
+        weight = 1 / variance
+    usable = np.isfinite(slope).all(axis=0) & np.isfinite(weight).all(axis=0) & (n_r > 0)
+    weight = np.where(usable, weight, 0.0)
+    slope = np.where(usable, slope, 0.0)
+    channels = np.concatenate(
+        [
+            weight * slope,
+            weight,
+            np.where(usable, view.material[inside].T, 0.0),
+            usable[None],
+            view.shadowed[inside][None],
+            view.saturated[inside][None],
+            np.ones((1, slope.shape[1])),
+        ]
+    ).astype(np.float32)
+    total = np.zeros((len(rows), grid.shape[1], len(channels)), np.float32)
+    _splat(local, column[inside], np.ascontiguousarray(channels.T), total)
+    total = np.moveaxis(total, 2, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = (total[7] > _LEAST_SHARE) & (total[2] > 0) & (total[3] > 0)
+        slope = np.where(known, total[0:2] / total[2:4], np.nan)
+        variance = np.where(known, 1 / total[2:4], np.nan)
+        material = np.where(known, total[4:7] / total[7], np.nan)
+        flags = np.where(total[10] > 0, total[8:10] / total[10], 0)
+    return ViewField(rows, slope, variance, material, flags, _blend(len(rows)))
+
+
+def _rows_covered(row: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Consecutive rows that hold all points; on a whole turn they may pass its end."""
+    n = grid.shape[0]
+    if not grid.periodic:
+        return np.arange(max(int(row.min()), 0), min(int(row.max()) + 2, n))
+    taken = np.zeros(n, bool)
+    taken[np.unique(np.floor(row).astype(int)) % n] = True
+    if taken.all():
+        return np.arange(n)
+    # The view starts where the longest run of empty rows ends.
+    ends = np.flatnonzero(~np.roll(taken, 1) & taken | np.roll(~taken, 1) & taken)
+    starts = [int(e) for e in ends]
+    gaps = [_gap_before(taken, s) for s in starts]
+    first = starts[int(np.argmax(gaps))]
+    return (first + np.arange(n - max(gaps) + 1)) % n if max(gaps) < n else np.arange(n)
+
+
+def _gap_before(taken: np.ndarray, row: int) -> int:
+    before = np.roll(taken, -row)[::-1]
+    return int(np.argmax(before)) if before.any() else len(taken)
+
+
+def _blend(count: int) -> np.ndarray:
+    place = (np.arange(count) + 0.5) / count
+    return (2 * np.minimum(place, 1 - place)).astype(np.float32)
+
+
+@njit(cache=True)
+def _splat(row, column, channels, total):
+    """Share every point's channels bilinearly among the four cells around it."""
+    rows, columns, count = total.shape
+    for k in range(len(row)):
+        i = int(np.floor(row[k]))
+        j = int(np.floor(column[k]))
+        down = row[k] - i
+        right = column[k] - j
+        for a in range(2):
+            for b in range(2):
+                if not (0 <= i + a < rows and 0 <= j + b < columns):
+                    continue
+                share = (down if a else 1 - down) * (right if b else 1 - right)
+                for c in range(count):
+                    total[i + a, j + b, c] += share * channels[k, c]

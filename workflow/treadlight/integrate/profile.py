@@ -1,0 +1,266 @@
+"""The whole integration of one capture: sections, views and first surface in, profile out."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from treadlight import tread
+from treadlight.geometry import CylinderGrid
+from treadlight.integrate import prior
+from treadlight.integrate.bias import remove_bias
+from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
+from treadlight.integrate.gather import ViewField, ViewNormals, view_field
+from treadlight.integrate.laser import LaserCells, held_out, laser_cells
+from treadlight.integrate.solve import Problem, Solution, integrate
+from treadlight.integrate.uncertainty import (
+    HeldOut,
+    compare_held_out,
+    coverage_factor,
+    sampled_std,
+)
+
+# An edge that keeps less than this share of its weight is a step.
+_STEP_SHARE = 0.05
+_CLEAR_CELLS = 3
+
+
+@dataclass(frozen=True)
+class LaserSections:
+    """Laser points (section, line): r mm, theta rad, z mm, r_std mm; encoder (section,) rad."""
+
+    r: np.ndarray
+    theta: np.ndarray
+    z: np.ndarray
+    r_std: np.ndarray
+    encoder: np.ndarray
+
+
+@dataclass(frozen=True)
+class FirstSurface:
+    """r, r_std (n, m), mm; NaN where nothing supports a value."""
+
+    r: np.ndarray
+    r_std: np.ndarray
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What the integration found on the grid (n, m); lengths mm.
+
+    Attributes
+    ----------
+    r, r_std : (n, m) float64
+        NaN where nothing supports a value.
+    normal : (n, m, 3) float32
+        Unit normal of the integrated surface, components r, theta, z.
+    material : (3, n, m) float32
+        k_d, k_s, alpha.
+    laser, photometric, step : (n, m) bool
+        Cells with a laser point of the solve, with a slope, beside a step.
+    shadowed, saturated : (n, m) bool
+    held_out : HeldOut
+    laser_points : int
+        Of the solve.
+    normal_residual : (2,) float
+        Median and 95th percentile of the angle between photometric and integrated normals, rad.
+    """
+
+    r: np.ndarray
+    r_std: np.ndarray
+    normal: np.ndarray
+    material: np.ndarray
+    laser: np.ndarray
+    photometric: np.ndarray
+    step: np.ndarray
+    shadowed: np.ndarray
+    saturated: np.ndarray
+    held_out: HeldOut
+    laser_points: int
+    normal_residual: tuple[float, float]
+
+
+def integrate_capture(
+    views: Iterable[ViewNormals],
+    sections: LaserSections,
+    surface: FirstSurface,
+    grid: CylinderGrid,
+    held_out_every: int,
+) -> Profile:
+    """Heights from slopes, laser sections and the first surface, with their uncertainty.
+
+    Solved twice: without the held-out sections, to compare with them, and then with all, since a
+    block that a single section crosses would lose its height with it. The figures of the
+    comparison are so on the safe side.
+
+    Parameters
+    ----------
+    views : iterable of ViewNormals
+        May be empty (laser only); taken one by one.
+    sections : LaserSections
+        May hold no point (photometric only: the shape about the first surface's level).
+    surface : FirstSurface
+        On the grid.
+    grid : CylinderGrid
+    held_out_every : int
+        Every n-th section stays out of the first solve; 0 = none, and one solve.
+    """
+    start = prior.complete(surface.r)
+    usual_std = float(np.nanmedian(surface.r_std))
+    spacing = prior.section_spacing(sections.encoder, grid)
+    fields = [f for f in (view_field(v, grid) for v in views) if f is not None]
+    photometry = merge_views(fields, grid)
+    laser = laser_cells(
+        sections.r, sections.theta, sections.z, sections.r_std, photometry.slope, grid
+    )
+    noise = _noise_std(photometry, grid)
+    walls = prior.step_height(start, np.full(start.shape, usual_std), grid) > 0
+
+    def solve(used: LaserCells) -> tuple[Photometry, Problem, Solution]:
+        unbiased = _unbiased(fields, used, start, walls, spacing, grid)
+        problem = _problem(unbiased, used, start, surface, spacing, grid)
+        return unbiased, problem, integrate(problem, start, usual_std, noise)
+
+    factor, proof = 1.0, compare_held_out(start, laser.select(np.zeros(len(laser.value), bool)))
+    out = held_out(len(sections.r), held_out_every)[laser.section]
+    # The first surface knows the held-out sections: only where it counts for nothing against the
+    # slopes is the comparison with them a proof.
+    held = laser.select(out & np.isfinite(photometry.slope[0])[laser.row, laser.column])
+    if len(held.value):
+        _, problem, solution = solve(laser.select(~out))
+        # At a wall a laser point and a cell are not the same place.
+        clear = _clear(_steps(solution, grid) | walls, grid)
+        held = held.select(clear[held.row, held.column])
+        std = sampled_std(problem, solution, grid)
+        factor = max(1.0, coverage_factor(solution.r, std, held))
+        proof = compare_held_out(solution.r, held)
+    photometry, problem, solution = solve(laser)
+    std = factor * sampled_std(problem, solution, grid)
+    known = np.isfinite(photometry.slope[0]) | np.isfinite(surface.r)
+    r = np.where(known, solution.r, np.nan)
+    slope = _solved_slopes(r, solution, problem.edges, grid)
+    return Profile(
+        r=r,
+        r_std=np.where(known, std, np.nan),
+        normal=_normals(slope),
+        material=photometry.material,
+        laser=_cells(laser, grid),
+        photometric=np.isfinite(photometry.slope[0]),
+        step=_steps(solution, grid),
+        shadowed=photometry.flags[0] > 0.5,
+        saturated=photometry.flags[1] > 0.5,
+        held_out=proof,
+        laser_points=len(laser.value),
+        normal_residual=_normal_residual(slope, photometry.slope),
+    )
+
+
+def _unbiased(
+    fields: list[ViewField],
+    laser: LaserCells,
+    start: np.ndarray,
+    walls: np.ndarray,
+    spacing: float,
+    grid: CylinderGrid,
+) -> Photometry:
+    """The views merged after their smooth bias was taken out."""
+    depth = _relative_depth(start, grid)
+    fields = [remove_bias(f, laser, depth, walls, spacing, grid) for f in fields]
+    return merge_views(fields, grid)
+
+
+def _noise_std(photometry: Photometry, grid: CylinderGrid) -> float:
+    """Usual standard deviation of an edge from cell to cell, mm: as said, or more by the curl."""
+    if not np.isfinite(photometry.variance).any():
+        return grid.step_z
+    usual = float(np.sqrt(np.nanmedian(photometry.variance))) * grid.step_z
+    return usual * max(1.0, curl_scale(photometry.slope, photometry.variance, grid))
+
+
+def _relative_depth(start: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """How deep a surface lies below the tread's outline: 0 on tops, 1 on groove floors."""
+    regions = tread.find_regions(start, grid)
+    if not np.isfinite(regions.depth_mm) or regions.depth_mm <= 0:
+        return np.zeros(start.shape, np.float32)
+    depth = regions.crown + regions.runout.radius(grid.theta, grid.z) - start
+    return np.clip(np.nan_to_num(depth / regions.depth_mm), 0, 1).astype(np.float32)
+
+
+def _problem(
+    photometry: Photometry,
+    laser: LaserCells,
+    start: np.ndarray,
+    surface: FirstSurface,
+    spacing: float,
+    grid: CylinderGrid,
+) -> Problem:
+    std = prior.edge_std(start, surface.r_std, grid)
+    known = np.isfinite(surface.r) & (std > 0)
+    edges = build_edges(
+        photometry.slope, photometry.variance, np.where(known, start, np.nan), std, grid
+    )
+    # A cell of the first surface is interpolated between sections: together, as many cells as
+    # lie between two sections count as one observation. Where there is light only the level of
+    # what all edges are cut around needs it: within the height of the tread.
+    low, high = np.percentile(start, [1, 99])
+    level = 1 / max(high - low, 1.0) ** 2
+    dark = known & ~np.isfinite(photometry.slope[0])
+    weight = np.where(dark, 1 / np.where(dark, std**2, 1) / spacing, 0)
+    weight = np.where(known, np.maximum(weight, level), 0)
+    return Problem(edges, laser, start, weight)
+
+
+def _cells(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:
+    mask = np.zeros(grid.shape, bool)
+    mask[laser.row, laser.column] = True
+    return mask
+
+
+def _steps(solution: Solution, grid: CylinderGrid) -> np.ndarray:
+    """Cells on either side of a cut edge."""
+    cut = solution.share < _STEP_SHARE
+    if not grid.periodic:
+        cut[0, -1] = False
+    cut[1, :, -1] = False
+    return cut[0] | np.roll(cut[0], 1, axis=0) | cut[1] | np.roll(cut[1], 1, axis=1)
+
+
+def _clear(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Cells with no step within a few cells."""
+    mode = ("wrap" if grid.periodic else "nearest", "nearest")
+    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=mode)
+
+
+def _solved_slopes(
+    r: np.ndarray, solution: Solution, edges: Edges, grid: CylinderGrid
+) -> np.ndarray:
+    """dr / (r dtheta) and dr / dz of the heights, (2, n, m), from the edges that are not cut."""
+    slope = np.empty((2, *r.shape), np.float32)
+    for k in range(2):
+        whole = (solution.share[k] >= _STEP_SHARE) & (edges.weight[k] > 0)
+        step = np.roll(r, -1, axis=k) - r
+        whole &= np.isfinite(step)
+        step = np.where(whole, step, 0)
+        count = whole.astype(float) + np.roll(whole, 1, axis=k)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope[k] = np.where(count > 0, (step + np.roll(step, 1, axis=k)) / count, np.nan)
+    slope[0] /= grid.step_theta * r
+    slope[1] /= grid.step_z
+    return slope
+
+
+def _normals(slope: np.ndarray) -> np.ndarray:
+    length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+    return np.stack([1 / length, -slope[0] / length, -slope[1] / length], axis=-1)
+
+
+def _normal_residual(solved: np.ndarray, photometric: np.ndarray) -> tuple[float, float]:
+    """Median and 95th percentile of the angle between two fields of slopes, rad."""
+    cosine = np.sum(_normals(solved) * _normals(photometric), axis=-1)
+    cosine = cosine[np.isfinite(cosine)]
+    if not cosine.size:
+        return np.nan, np.nan
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    median, high = np.percentile(angle, [50, 95])
+    return float(median), float(high)

@@ -1,0 +1,181 @@
+"""Graduated robust integration: heights from slopes, laser points and the first surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+
+from treadlight.integrate.edges import Edges
+from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.multigrid import Solver, System
+
+# Geman-McClure scale in standard deviations of a usual edge's noise: at the scale an edge has a
+# quarter of its weight, at one standard deviation 0.92 of it.
+_SCALE = 5.0
+# The first scale is this many standard deviations of the start, which its noise does not exceed.
+_START_SIGMA = 3.0
+_STAGES = 5
+# Laser points further off than this many standard deviations count by their sign only.
+_LASER_SCALE = 2.0
+# No edge is cut quite through: the matrix stays regular.
+_LEAST_SHARE = 1e-5
+# Between the stages heights need not be final; at the end what a smooth surface still moves by
+# is far below the tolerance, and patches that edges are cut around take longest.
+_STAGE_ITERATIONS = 12
+_FINAL_ITERATIONS = 40
+_TOLERANCE_MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All that constrains the heights r (n, m).
+
+    Attributes
+    ----------
+    edges : Edges
+    laser : LaserCells
+    prior : (n, m) float
+        First surface, mm (any number where `prior_weight` is 0).
+    prior_weight : (n, m) float
+        mm^-2.
+    """
+
+    edges: Edges
+    laser: LaserCells
+    prior: np.ndarray
+    prior_weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Heights and what held them.
+
+    Attributes
+    ----------
+    r : (n, m) float64
+        mm.
+    share : (2, n, m) float32
+        What is left of each edge's weight: near 0 at a step.
+    laser_share : (k,) float64
+        The same of each laser point: near 0 for an outlier.
+    """
+
+    r: np.ndarray
+    share: np.ndarray
+    laser_share: np.ndarray
+
+
+def integrate(problem: Problem, start: np.ndarray, start_std: float, noise_std: float) -> Solution:
+    """Minimise the robust energy by graduated non-convexity.
+
+    Geman-McClure's function on the residuals of the edges, its scale lowered step by step
+    (Black and Rangarajan, 1996) from the noise of the start to that of the edges. At every stage
+    an edge counts as no more certain than the scale says, so that a step that is not yet cut
+    cannot pull its sides together: from a smeared surface the same reweighting stays smeared.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : (n, m) float
+        First surface, complete, mm; it must know the large steps.
+    start_std : float
+        Its usual standard deviation, mm.
+    noise_std : float
+        Usual standard deviation of an edge from cell to cell, mm: without what is correlated
+        over many cells, which edges' weights count and a step does not hide in.
+    """
+    r = start.astype(np.float64)
+    final = _SCALE * noise_std
+    scales = np.geomspace(max(final, _START_SIGMA * start_std), final, _STAGES)
+    for stage, scale in enumerate(scales):
+        last = stage == _STAGES - 1
+        share, laser_share = _shares(problem, r, float(scale))
+        iterations = _FINAL_ITERATIONS if last else _STAGE_ITERATIONS
+        r = linear_solve(problem, r, share, laser_share, iterations)
+    return Solution(r, share, laser_share)
+
+
+def _shares(problem: Problem, r: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    edges, laser = problem.edges, problem.laser
+    share = np.empty(edges.step.shape, np.float32)
+    _edge_share(r, edges.step, edges.weight, edges.photometric, scale, (_SCALE / scale) ** 2, share)
+    miss = (laser.value - r[laser.row, laser.column]) / laser.std
+    return share, 1 / np.sqrt(1 + (miss / _LASER_SCALE) ** 2)
+
+
+@njit(cache=True, parallel=True)
+def _edge_share(r, step, weight, photometric, scale, most, share):
+    """Geman-McClure's weight relative to the edge's own, which counts as `most` at the most."""
+    n, m = r.shape
+    for row in prange(n):
+        i = np.int64(row)
+        below = i + 1 if i < n - 1 else 0
+        for j in range(m):
+            right = j + 1 if j < m - 1 else 0
+            for k in range(2):
+                w = weight[k, i, j]
+                if w <= 0:
+                    share[k, i, j] = 0
+                    continue
+                beside = r[below, j] if k == 0 else r[i, right]
+                miss = beside - r[i, j] - step[k, i, j]
+                if not photometric[k, i, j]:
+                    # Cauchy's: what is interpolated bends to what is measured.
+                    share[k, i, j] = 1 / (1 + miss * miss * w / (_SCALE * _SCALE))
+                    continue
+                x = miss * miss / (scale * scale)
+                part = min(1.0, most / w) / ((1 + x) * (1 + x))
+                share[k, i, j] = max(part, _LEAST_SHARE)
+
+
+def weighted_system(
+    problem: Problem, share: np.ndarray, laser_share: np.ndarray
+) -> tuple[System, np.ndarray]:
+    """The linear system under given shares, and the laser's part of its diagonal."""
+    laser = problem.laser
+    weight = problem.edges.weight.astype(np.float64) * share
+    data = problem.prior_weight.astype(np.float64)
+    pull = np.zeros_like(data)
+    np.add.at(pull, (laser.row, laser.column), laser_share / laser.std**2)
+    return System(weight[0], weight[1], data + pull), pull
+
+
+def linear_solve(
+    problem: Problem, r: np.ndarray, share: np.ndarray, laser_share: np.ndarray, iterations: int
+) -> np.ndarray:
+    """Heights (n, m) that minimise the energy under given shares, from r on."""
+    laser = problem.laser
+    system, pull = weighted_system(problem, share, laser_share)
+    residual = problem.prior_weight * (problem.prior - r) - pull * r
+    np.add.at(residual, (laser.row, laser.column), laser_share / laser.std**2 * laser.value)
+    _add_edges(system.w_theta, system.w_z, problem.edges.step, r, residual)
+    correction, _ = Solver(system).solve(residual, _TOLERANCE_MM, iterations)
+    return r + correction
+
+
+@njit(cache=True, parallel=True)
+def _add_edges(w_theta, w_z, step, r, residual):
+    n, m = r.shape
+    for i in prange(n):
+        up = i - 1 if i > 0 else n - 1
+        down = i + 1 if i < n - 1 else 0
+        for j in range(m):
+            value = w_theta[i, j] * (r[down, j] - r[i, j] - step[0, i, j])
+            value -= w_theta[up, j] * (r[i, j] - r[up, j] - step[0, up, j])
+            if j < m - 1:
+                value += w_z[i, j] * (r[i, j + 1] - r[i, j] - step[1, i, j])
+            if j > 0:
+                value -= w_z[i, j - 1] * (r[i, j] - r[i, j - 1] - step[1, i, j - 1])
+            residual[i, j] += value
+
+
+def perturbation(problem: Problem, system: System, rng: np.random.Generator) -> np.ndarray:
+    """A random right-hand side whose covariance is the matrix: (n, m), mm^-1.
+
+    Heights that answer to it have the inverse matrix as covariance.
+    """
+    noise = np.sqrt(system.data) * rng.standard_normal(system.data.shape)
+    jumps = [np.sqrt(w) * rng.standard_normal(w.shape) for w in (system.w_theta, system.w_z)]
+    noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
+    noise += np.roll(jumps[1], 1, axis=1) - jumps[1]
+    return noise

@@ -1,0 +1,104 @@
+"""Standard uncertainty of the heights, and its proof on sections that were held out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.special import digamma
+
+from treadlight.geometry import CylinderGrid
+from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.multigrid import Solver
+from treadlight.integrate.solve import Problem, Solution, perturbation, weighted_system
+
+_SAMPLES = 8
+_SMOOTHING_CELLS = 3.0
+_TOLERANCE_MM = 1e-3
+_MAX_ITERATIONS = 15
+_SEED = 20170617
+# A nanometre: no cell is better known.
+_LEAST_VARIANCE = 1e-12
+# Held-out points further off than this many of their spreads are outliers.
+_OUTLIER = 5.0
+_FACTOR_RANGE = (0.3, 10.0)
+_LEAST_POINTS = 30
+_ONE_SIGMA = 0.6827
+# Where a section is held out its neighbours are twice as far apart. What is left of the slopes'
+# bias adds up in proportion to the distance, the model's noise to its root: the comparison
+# overstates the factor elsewhere by the root of two.
+_WIDER_GAP = np.sqrt(2.0)
+
+
+def sampled_std(problem: Problem, solution: Solution, grid: CylinderGrid) -> np.ndarray:
+    """Standard deviation of the heights under the noise of all constraints, (n, m) mm.
+
+    The diagonal of the inverse matrix, from heights that answer to random right-hand sides with
+    the constraints' covariance (a fixed seed), averaged over a few cells to steady it.
+    """
+    rng = np.random.default_rng(_SEED)
+    system, _ = weighted_system(problem, solution.share, solution.laser_share)
+    solver = Solver(system)
+    total = np.zeros(grid.shape)
+    for _ in range(_SAMPLES):
+        noise = perturbation(problem, system, rng)
+        total += solver.solve(noise, _TOLERANCE_MM, _MAX_ITERATIONS)[0] ** 2
+    mode = ("wrap" if grid.periodic else "nearest", "nearest")
+    # Logarithms are averaged, so that a wall's uncertainty does not spread over what it flanks;
+    # their mean is off by the digamma function of a chi-squared's half degrees of freedom.
+    bias = digamma(_SAMPLES / 2) - np.log(_SAMPLES / 2)
+    logarithm = np.log(np.maximum(total / _SAMPLES, _LEAST_VARIANCE))
+    return np.exp(0.5 * (ndimage.gaussian_filter(logarithm, _SMOOTHING_CELLS, mode=mode) - bias))
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Held-out laser points against the heights (quality.json, `held_out_laser_mm`), mm."""
+
+    n: int
+    bias: float
+    rms: float
+    laser_std: float
+    shape_rms: float
+
+
+def compare_held_out(r: np.ndarray, held: LaserCells) -> HeldOut:
+    """Laser minus heights at the held-out points, outliers left out; NaN where there are none."""
+    miss = held.value - r[held.row, held.column]
+    std, kept = held.std, _usual(miss, held.std)
+    if not kept.any():
+        return HeldOut(0, np.nan, np.nan, np.nan, np.nan)
+    rms = float(np.sqrt(np.mean(miss[kept] ** 2)))
+    laser = float(np.sqrt(np.mean(std[kept] ** 2)))
+    shape = float(np.sqrt(max(rms**2 - laser**2, 0.0)))
+    return HeldOut(int(kept.sum()), float(np.mean(miss[kept])), rms, laser, shape)
+
+
+def _usual(miss: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Points whose difference is none of a step, a slot or an outlier, (k,) bool."""
+    known = np.isfinite(miss)
+    if not known.any():
+        return known
+    spread = max(1.4826 * float(np.median(np.abs(miss[known]))), float(np.median(std[known])))
+    return known & (np.abs(miss) < _OUTLIER * spread)
+
+
+def coverage_factor(r: np.ndarray, r_std: np.ndarray, held: LaserCells) -> float:
+    """Factor on `r_std` that the held-out points ask for.
+
+    Under it 68 % of them would lie within one sigma, had their sections not been held out.
+
+    One sigma is that of the difference: heights and laser together. 1 where too few points are
+    held out to say.
+    """
+    miss = held.value - r[held.row, held.column]
+    std = r_std[held.row, held.column]
+    known = _usual(miss, held.std) & np.isfinite(std)
+    if known.sum() < _LEAST_POINTS:
+        return 1.0
+    miss, std, laser = np.abs(miss[known]), std[known], held.std[known]
+    low, high = _FACTOR_RANGE
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        inside = np.mean(miss < np.hypot(middle * std, laser))
+        low, high = (middle, high) if inside < _ONE_SIGMA else (low, middle)
+    return float(np.sqrt(low * high) / _WIDER_GAP)

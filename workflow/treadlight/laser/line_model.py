@@ -1,0 +1,242 @@
+"""What a capture's own frames say about the laser line: its width, its noise, its best filter."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from scipy.ndimage import maximum_filter1d
+from scipy.optimize import nnls
+
+from treadlight.errors import CaptureError
+from treadlight.laser.detection import (
+    LineModel,
+    detect_section,
+    estimate_noise,
+    filter_response,
+    smooth_frame,
+)
+
+# The filter reaches three sigmas: the light further out is haze and reflection.
+_REACH_SIGMA = 3.0
+# Until the line is known, one as narrow as a lens can draw is looked for.
+_SEED_SIGMA_PX = 1.0
+# Below this sigma a Gaussian line keeps over 6 % of its contrast at the pixels' Nyquist frequency:
+# it is undersampled, and what a sharp filter finds would hang on where in its pixel the line is.
+_UNDERSAMPLED_SIGMA_PX = 0.75
+# Such a line is smoothed to this sigma (0.1 % at Nyquist).
+_SAMPLED_SIGMA_PX = 1.2
+# The line's course over this many rows either side tells where a row's line should be.
+_COURSE_ROWS = 10
+# Each of the filter's unknowns wants this many rows before its noise can be told.
+_ROWS_PER_NODE = 25
+# Shrinks the filter towards one that trusts all nodes alike, against a spare sample of rows.
+_RIDGE = 0.1
+# A step between rows of a quarter of the line's width is no noise.
+_CALM_SIGMA = 0.25
+# Rows whose squared distance is beyond this many medians stand on an edge or a reflection.
+_TRIM_AT = 2.5
+_TRIMMING_ROUNDS = 3
+
+
+def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineModel:
+    """Width of the line, noise, and the best antisymmetric filter, from some laser frames.
+
+    Among antisymmetric filters w, the zero crossing of the response has the least variance
+    for w proportional to C^-1 d, where d is the derivative of the mean response to a shift of
+    the line and C the covariance of the responses about it (Gauss-Markov); both come from rows
+    whose course is known from the rows around them. Where too few rows are clean, the filter
+    is the derivative of a Gaussian of twice the line's sigma.
+
+    Parameters
+    ----------
+    frames : sequence of ((lines, width) float32, (lines, width) bool)
+        Intensity and saturation of frames spread over the capture.
+
+    Raises
+    ------
+    CaptureError
+        No frame shows a line.
+    """
+    noise = float(np.median([estimate_noise(intensity) for intensity, _ in frames]))
+    sigma = _SEED_SIGMA_PX
+    # Wide lines are seen broken into speckles by a narrow filter: three rounds grow into them.
+    for _ in range(3):
+        model = _gaussian_model(sigma, 0.0, np.inf, np.inf, noise)
+        sigma, width_spread, skew_spread = _measure_shape(frames, model)
+    narrow = sigma < _UNDERSAMPLED_SIGMA_PX
+    blur = math.sqrt(_SAMPLED_SIGMA_PX**2 - sigma**2) if narrow else 0.0
+    model = _gaussian_model(math.hypot(sigma, blur), blur, width_spread, skew_spread, noise)
+    # A filter learnt from undersampled rows would learn where the pixels are.
+    if not narrow:
+        model = _best_model(frames, model)
+    return _measure_std(frames, model)
+
+
+def _gaussian_model(
+    sigma_px: float, blur_px: float, width_spread: float, skew_spread: float, noise: float
+) -> LineModel:
+    """Derivative of a Gaussian of twice the line's sigma, of sigma itself for a blurred line."""
+    node_px = max(0.5 * sigma_px, 0.5)
+    count = max(3, math.ceil(_REACH_SIGMA * sigma_px / node_px))
+    at = node_px * np.arange(1, count + 1)
+    # Cut off where it is not yet small, a filter would feel each pixel come and go.
+    scale = sigma_px if blur_px else 2 * sigma_px
+    taps = at * np.exp(-0.5 * (at / scale) ** 2)
+    weights = np.tril(np.ones((count, count))) * taps
+    # A start only: `_measure_std` scales it to what the rows show.
+    std = np.full(count, 0.1 * sigma_px)
+    return LineModel(sigma_px, blur_px, noise, width_spread, skew_spread, node_px, weights, std)
+
+
+def _measure_shape(
+    frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel
+) -> tuple[float, float, float]:
+    """Sigma of the line, px, and the spreads of ln(width) and of skew."""
+    widths, skews = [], []
+    for intensity, saturated in frames:
+        found = detect_section(intensity, saturated, model)
+        strength = found.strength[:, 0]
+        # Only the brighter half: dim rows are oblique, blurred or haze.
+        known = np.isfinite(strength)
+        bright = known & (strength >= np.median(strength[known])) if known.any() else known
+        widths.append(found.width[bright, 0])
+        skews.append(found.skew[bright, 0])
+    width, skew = np.concatenate(widths), np.concatenate(skews)
+    if not len(width):
+        raise CaptureError(
+            "The laser frames show no line above the noise. Check exposure and laser.channel."
+        )
+    sigma = max(0.5, float(np.median(width)))
+    off = np.abs(np.log(np.maximum(width, 1e-3) / sigma))
+    return sigma, 1.4826 * float(np.median(off)), 1.4826 * float(np.median(np.abs(skew)))
+
+
+def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
+    responses, shifted = [], []
+    for intensity, saturated in frames:
+        found = detect_section(intensity, saturated, model)
+        clean = ~found.saturated[:, 0] & (found.flags == 0)
+        course = line_course(np.where(clean, found.u[:, 0], np.nan).astype(float), model.sigma_px)
+        rows = np.flatnonzero(np.isfinite(course))
+        smooth = smooth_frame(intensity, model)
+        at, ahead, behind = _node_responses(
+            smooth[rows], course[rows], model.weights.shape[0], model.node_px
+        )
+        amplitude = found.strength[rows, :1]
+        responses.append(at / amplitude)
+        shifted.append((ahead - behind) / amplitude)
+    return _solve(np.concatenate(responses), np.concatenate(shifted) / model.node_px, model)
+
+
+def _solve(responses: np.ndarray, slopes: np.ndarray, model: LineModel) -> LineModel:
+    """The Gauss-Markov filters of every reach from responses and their slopes, (rows, nodes).
+
+    Weights are kept from going negative: lobes of both signs would hang on the exact shape of
+    the line's foot.
+    """
+    count = responses.shape[1]
+    if len(responses) < _ROWS_PER_NODE * count:
+        return model
+    covariance = trimmed_covariance(responses)
+    covariance += _RIDGE * np.diag(np.diag(covariance))
+    slope = -slopes.mean(axis=0)
+    weights = np.zeros((count, count))
+    std = np.zeros(count)
+    for m in range(1, count + 1):
+        root = np.linalg.cholesky(covariance[:m, :m])
+        taps, _ = nnls(root.T, np.linalg.solve(root, slope[:m]))
+        weights[m - 1, :m] = taps / taps.max()
+        std[m - 1] = 1 / math.sqrt(float(slope[:m] @ taps))
+    return replace(model, weights=weights, std_px=std)
+
+
+def trimmed_covariance(samples: np.ndarray) -> np.ndarray:
+    """Covariance (n, n) of samples (rows, n) without those far out (concentration steps)."""
+    kept = samples
+    for _ in range(_TRIMMING_ROUNDS):
+        covariance = np.cov(kept.T) + 1e-12 * np.eye(samples.shape[1])
+        offset = samples - kept.mean(axis=0)
+        distance = np.einsum("ij,ij->i", offset @ np.linalg.inv(covariance), offset)
+        kept = samples[distance < _TRIM_AT * np.median(distance)]
+    return np.atleast_2d(np.cov(kept.T))
+
+
+def _measure_std(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
+    """Scale the filters' standard deviations to the spread that rows show about their course.
+
+    From u(v) - (u(v - L) + u(v + L)) / 2, with L beyond what smoothing shares: its variance is
+    1.5 times that of a row, and a course that is straight over 2 L drops out.
+    """
+    lag = max(1, math.ceil(5 * model.row_sigma_px))
+    ratios = []
+    for intensity, saturated in frames:
+        found = detect_section(intensity, saturated, model)
+        u = np.where(found.flags == 0, found.u[:, 0], np.nan).astype(float)
+        step = np.abs(np.diff(u, append=np.nan))
+        step = np.where(np.isfinite(step), step, np.inf)
+        # Rows near a step tell of the tread, not of the noise.
+        calm = maximum_filter1d(step, 2 * lag + 5, mode="nearest") < _CALM_SIGMA * model.sigma_px
+        if len(u) > 2 * lag:
+            bend = u[lag:-lag] - 0.5 * (u[: -2 * lag] + u[2 * lag :])
+            ratio = bend / math.sqrt(1.5) / found.u_std[lag:-lag, 0]
+            ratios.append(ratio[calm[lag:-lag]])
+    ratio = np.abs(np.concatenate(ratios)) if ratios else np.zeros(0)
+    ratio = ratio[np.isfinite(ratio)]
+    if len(ratio) < _ROWS_PER_NODE:
+        return model
+    # The share of a normal distribution inside one sigma: heavy tails of speckle count in it.
+    return replace(model, std_px=model.std_px * float(np.percentile(ratio, 68.27)))
+
+
+def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Where the rows around say that each row's line is: a straight fit without the row itself.
+
+    Parameters
+    ----------
+    u : (lines,) float64
+        Positions, NaN where not known.
+    sigma_px : float
+        Rows nearer than this share smoothing with the row and are left out.
+
+    Returns
+    -------
+    (lines,) float64
+        NaN where a neighbour is missing or strays from the fit by more than half a sigma, as
+        it does at steps.
+    """
+    skip = max(1, math.ceil(sigma_px))
+    reach = skip + _COURSE_ROWS
+    offsets = np.concatenate([np.arange(-reach, -skip), np.arange(skip + 1, reach + 1)])
+    course = np.full(len(u), np.nan)
+    if len(u) <= 2 * reach:
+        return course
+    windows = np.lib.stride_tricks.sliding_window_view(u, 2 * reach + 1)
+    around = windows[:, offsets + reach]
+    mean = around.mean(axis=1)
+    slope = around @ offsets / float(offsets @ offsets)
+    residual = around - mean[:, None] - slope[:, None] * offsets
+    spread = np.abs(residual).max(axis=1)
+    inside = u[reach:-reach]
+    good = (spread < max(sigma_px, 1.0)) & (np.abs(inside - mean) < max(sigma_px, 1.0))
+    course[reach:-reach] = np.where(good, mean, np.nan)
+    return course
+
+
+@njit(cache=True, nogil=True)
+def _node_responses(smooth, course, count, node_px):  # pragma: no cover - compiled
+    """Responses of each node's hat at the course, half a node ahead and half a node behind."""
+    rows = len(course)
+    at = np.zeros((rows, count))
+    ahead = np.zeros((rows, count))
+    behind = np.zeros((rows, count))
+    for i in range(rows):
+        for k in range(count):
+            hat = np.zeros(count)
+            hat[k] = 1.0
+            step = 0.5 * node_px
+            at[i, k] = filter_response(smooth[i], course[i], hat, count, node_px)
+            ahead[i, k] = filter_response(smooth[i], course[i] + step, hat, count, node_px)
+            behind[i, k] = filter_response(smooth[i], course[i] - step, hat, count, node_px)
+    return at, ahead, behind

@@ -1,0 +1,66 @@
+"""What an estimator of normals takes and gives: the same for every method."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Fewer equations than this leave the gloss model's normal, strength and width undetermined.
+MIN_LEDS = 4
+
+FLAGS = ("outside", "shadowed", "saturated", "few_leds", "poor_fit")
+OUTSIDE, SHADOWED, SATURATED, FEW_LEDS, POOR_FIT = (np.uint8(1 << k) for k in range(5))
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Pixels seen under each LED; all vectors in one frame, which the result then has too.
+
+    Attributes
+    ----------
+    intensity : (n_leds, n) float32
+        I / (E exposure): a white Lambertian surface that faces the LED shows 1.
+    lights : (n_leds, n, 3) float32
+        Unit vectors from the scene point to the LED.
+    views : (n, 3) float32
+        Unit vectors from the scene point to the camera.
+    usable : (n_leds, n) bool
+        False where an LED is saturated, in cast shadow or missing at this pixel.
+    noise : (n_leds, n) float32
+        Standard deviation of `intensity` where it is dark (read-out and quantisation).
+    """
+
+    intensity: np.ndarray
+    lights: np.ndarray
+    views: np.ndarray
+    usable: np.ndarray
+    noise: np.ndarray
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a method found at each pixel; NaN (0 in counts) where there is no normal.
+
+    Attributes
+    ----------
+    normal : (n, 3) float32
+        Unit normals in the frame of the observations.
+    k_d, k_s, alpha : (n,) float32
+        Of eq. 5.1 (without n.l on the gloss).
+    residual : (n,) float32
+        Mean relative rerendering error, eq. 5.30 as a mean over the LEDs used whose
+        intensity is above three sigma of the noise.
+    leds_used : (n,) uint8
+    flags : (n,) uint8
+        Bits of `FLAGS` that the method itself can know: few_leds.
+    covariance : (n, 6) float32
+        Of the normal's components (xx, xy, xz, yy, yz, zz), rad2; of rank two.
+    """
+
+    normal: np.ndarray
+    k_d: np.ndarray
+    k_s: np.ndarray
+    alpha: np.ndarray
+    residual: np.ndarray
+    leds_used: np.ndarray
+    flags: np.ndarray
+    covariance: np.ndarray

@@ -1,0 +1,310 @@
+"""Normals of one field of view: scene points, shadows, light, and specular photometric stereo."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from treadlight.geometry import Axis, Camera, CylinderGrid, Led
+from treadlight.geometry.axis import wrap_angle
+from treadlight.photometric import scene
+from treadlight.photometric.closure import covariance_scale
+from treadlight.photometric.observations import (
+    OUTSIDE,
+    POOR_FIT,
+    SATURATED,
+    SHADOWED,
+    Estimate,
+    Observations,
+)
+from treadlight.photometric.sps import DISSERTATION_MISFIT, sps, typical_misfit
+
+# Pixels per chunk: keeps 16 LEDs' vectors and masks below 32 MiB.
+_CHUNK_PX = 1 << 16
+_SAMPLE_PX = 20_000
+_MAD_TO_STD = 1.4826
+_POOR_SIGMAS = 3.0
+
+
+class Light(Protocol):
+    """Calibrated near lights, such as `treadlight.geometry.light.Illumination`."""
+
+    @property
+    def leds(self) -> Sequence[Led]: ...
+
+    def irradiance(self, k: int, points: np.ndarray) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class View:
+    """One field of view: its frames, and the rig that took them.
+
+    Attributes
+    ----------
+    intensity : (n_leds, h, w) float32
+        Linear, divided by exposure; NaN where saturated.
+    noise : (n_leds,) float
+        Standard deviation of `intensity` where it is dark.
+    leds : (n_leds,) of int
+        Index of each frame's LED in `light.leds`.
+    light : Light
+    camera : Camera
+    axis : Axis
+    encoder : float
+        Rad.
+    """
+
+    intensity: np.ndarray
+    noise: np.ndarray
+    leds: tuple[int, ...]
+    light: Light
+    camera: Camera
+    axis: Axis
+    encoder: float
+
+
+@dataclass(frozen=True)
+class ViewNormals:
+    """The maps of a view; NaN (0 in counts) where a pixel has none.
+
+    Attributes
+    ----------
+    normal : (h, w, 3) float32
+        In {T}'s local basis (r, theta, z) at the scene point.
+    normal_cov : (h, w, 3) float32
+        Variance of n_theta, covariance of n_theta and n_z, variance of n_z; rad2. Scaled so
+        that it explains how far the view's normals are from those of a surface (`closure`).
+    k_d, k_s, alpha, residual : (h, w) float32
+    leds_used : (h, w) uint8
+    r, theta, z : (h, w) float32
+        The assumed scene point in {T}: mm, rad in [-pi, pi), mm.
+    quality : (h, w) uint8
+        Bits of `observations.FLAGS`.
+    """
+
+    normal: np.ndarray
+    normal_cov: np.ndarray
+    k_d: np.ndarray
+    k_s: np.ndarray
+    alpha: np.ndarray
+    residual: np.ndarray
+    leds_used: np.ndarray
+    r: np.ndarray
+    theta: np.ndarray
+    z: np.ndarray
+    quality: np.ndarray
+
+
+def solve_view(
+    view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray, max_refinements: int
+) -> ViewNormals:
+    """Specular photometric stereo at every pixel of a view.
+
+    Parameters
+    ----------
+    view : View
+    grid : CylinderGrid
+    r, r_std : (n_theta, n_z) float
+        The current surface and its standard uncertainty, mm; NaN where unknown.
+    max_refinements : int
+        See `sps`.
+
+    Returns
+    -------
+    ViewNormals
+    """
+    patch = scene.cut_patch(grid, r, r_std, view.encoder, _seen_angles(view, r))
+    obstacles = _obstacles(patch)
+    height, width = view.intensity.shape[1:]
+    total = height * width
+    sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
+    observed, _, _ = _observe(view, patch, obstacles, sample)
+    misfit = DISSERTATION_MISFIT
+    if observed.intensity.shape[1]:
+        misfit = typical_misfit(observed, max_refinements=max_refinements)
+    maps = _empty_maps(total)
+    for pixels in _chunks(total):
+        observed, points, quality = _observe(view, patch, obstacles, pixels)
+        estimate = sps(observed, max_refinements=max_refinements, misfit=misfit)
+        _place(maps, pixels, estimate, points, quality, view.encoder)
+    poor = _is_poor(maps.residual)
+    maps.quality[poor] |= POOR_FIT
+    found = _reshaped(maps, height, width)
+    scale = covariance_scale(found.normal, found.normal_cov, found.theta, found.z, found.r)
+    return replace(found, normal_cov=found.normal_cov * np.float32(scale**2))
+
+
+def _chunks(total: int) -> Iterator[np.ndarray]:
+    for start in range(0, total, _CHUNK_PX):
+        yield np.arange(start, min(total, start + _CHUNK_PX))
+
+
+def _in_view_frame(axis: Axis, points: np.ndarray) -> np.ndarray:
+    """Points of {C} in {V}: the tire frame held still at the encoder angle."""
+    return (points - axis.point) @ axis.basis.T
+
+
+def _pixel_directions(view: View, pixels: np.ndarray) -> np.ndarray:
+    v, u = np.divmod(pixels, view.camera.size_px[0])
+    return view.camera.rays(np.column_stack([u, v])) @ view.axis.basis.T
+
+
+def needed_rows(view: View, grid: CylinderGrid) -> np.ndarray:
+    """Rows of a surface that a view can see or be shadowed by, in order of theta.
+
+    Wider than what `solve_view` cuts out of them: a tread's surface is taken to lie between
+    0.8 and 1.1 nominal radii, and what may cast shadows within 0.3 rad of what is seen.
+    """
+    radii = grid.nominal_radius_mm * np.array([0.8, 1.1])
+    low, high = (
+        edge + sign * 0.3 for edge, sign in zip(_angles_at(view, radii), (-1, 1), strict=True)
+    )
+    start = float(grid.index(np.asarray(-view.encoder), np.asarray(0.0))[0])
+    first, last = (math.floor(start + edge / grid.step_theta) for edge in (low, high))
+    count = len(grid.theta)
+    if not grid.periodic:
+        # Two rows at least, so that they make a grid, even if the view sees none of it.
+        first = min(max(first, 0), count - 2)
+        return np.arange(first, min(max(last + 1, first + 2), count))
+    if last + 1 - first >= count:
+        return np.arange(count)
+    return np.arange(first, last + 1) % count
+
+
+def part_of(grid: CylinderGrid, rows: np.ndarray) -> CylinderGrid:
+    """The grid of some neighbouring rows, which may run past the last one to the first."""
+    if len(rows) in (0, len(grid.theta)):
+        return grid
+    theta = wrap_angle(grid.theta[rows[0]]) + np.arange(len(rows)) * grid.step_theta
+    return CylinderGrid(theta, grid.z, grid.nominal_radius_mm)
+
+
+def _seen_angles(view: View, r: np.ndarray) -> tuple[float, float]:
+    """Range of phi at which the view's rays enter a surface or come nearest to the axis."""
+    radii = np.array([np.nanmin(r, initial=np.inf), np.nanmax(r, initial=0.0)])
+    return _angles_at(view, radii) if np.isfinite(radii).all() else (0.0, 0.0)
+
+
+def _angles_at(view: View, radii: np.ndarray) -> tuple[float, float]:
+    width, height = view.camera.size_px
+    u, v = np.meshgrid(np.linspace(0, width - 1, 33), np.linspace(0, height - 1, 33))
+    rays = view.camera.rays(np.column_stack([u.ravel(), v.ravel()])) @ view.axis.basis.T
+    origin = _in_view_frame(view.axis, np.zeros(3))
+    a = np.sum(rays[:, :2] ** 2, axis=1)
+    b = rays[:, :2] @ origin[:2]
+    phis = []
+    for radius in radii:
+        disc = b * b - a * (origin[:2] @ origin[:2] - radius * radius)
+        t = (-b - np.sqrt(np.maximum(disc, 0.0))) / a
+        x, y = origin[:2, None] + t * rays[:, :2].T
+        phis.append(np.arctan2(y, x))
+    return float(np.min(phis)), float(np.max(phis))
+
+
+def _obstacles(patch: scene.SurfacePatch) -> scene.SurfacePatch:
+    """The patch for shadow rays: detail finer than its own uncertainty would only cost time."""
+    cell = float(np.median(patch.r_std)) if patch.r_std.size else 0.0
+    return scene.coarsen(patch, cell)
+
+
+def _observe(
+    view: View, patch: scene.SurfacePatch, obstacles: scene.SurfacePatch, pixels: np.ndarray
+) -> tuple[Observations, np.ndarray, np.ndarray]:
+    """What the pixels saw, in the local basis (r, theta, z) of their scene points.
+
+    Returns
+    -------
+    observations : Observations
+    points : (n, 3) float64
+        phi, z, r in {V}.
+    quality : (n,) uint8
+    """
+    origin = _in_view_frame(view.axis, np.zeros(3))
+    leds = np.array([view.light.leds[k].position for k in view.leds])
+    leds = _in_view_frame(view.axis, leds)
+    points = scene.cast(patch, origin, _pixel_directions(view, pixels))
+    lit = scene.lit(obstacles, points, leds)
+    phi, z, r = points.T
+    theta = phi - view.encoder
+    in_camera = view.axis.to_camera(theta, z, r, view.encoder)
+    counts = view.intensity.reshape(len(leds), -1)[:, pixels]
+    shape = counts.shape
+    intensity, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    lights = np.empty((*shape, 3), np.float32)
+    for m, k in enumerate(view.leds):
+        irradiance = view.light.irradiance(k, in_camera)
+        # Behind an LED there is no light to divide by.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            intensity[m] = counts[m] / irradiance
+            noise[m] = view.noise[m] / irradiance
+        lights[m] = _unit(_local(leds[m], points))
+    saturated = np.isnan(counts)
+    outside = np.isnan(r)
+    usable = lit & ~saturated & np.isfinite(intensity)
+    quality = np.where(outside, OUTSIDE, np.uint8(0))
+    quality |= np.where(~outside & (~lit).any(axis=0), SHADOWED, np.uint8(0))
+    quality |= np.where(~outside & saturated.any(axis=0), SATURATED, np.uint8(0))
+    views = _unit(_local(origin, points)).astype(np.float32)
+    return Observations(intensity, lights, views, usable, noise), points, quality
+
+
+def _local(target: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) from points (phi, z, r) to a place in {V}, in the points' local basis."""
+    phi, z, r = points.T
+    c, s = np.cos(phi), np.sin(phi)
+    x, y = target[0], target[1]
+    return np.stack([c * x + s * y - r, c * y - s * x, target[2] - z], axis=-1)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _empty_maps(total: int) -> ViewNormals:
+    def floats(*size: int) -> np.ndarray:
+        return np.empty((total, *size), np.float32)
+
+    counts = np.empty(total, np.uint8)
+    return ViewNormals(
+        floats(3), floats(3), floats(), floats(), floats(), floats(), counts,
+        floats(), floats(), floats(), counts.copy(),
+    )  # fmt: skip
+
+
+def _place(
+    maps: ViewNormals,
+    pixels: np.ndarray,
+    estimate: Estimate,
+    points: np.ndarray,
+    quality: np.ndarray,
+    encoder: float,
+) -> None:
+    rows = slice(pixels[0], pixels[-1] + 1)
+    outside = (quality & OUTSIDE) > 0
+    maps.normal[rows] = estimate.normal
+    maps.normal_cov[rows] = estimate.covariance[:, 3:]
+    maps.k_d[rows], maps.k_s[rows] = estimate.k_d, estimate.k_s
+    maps.alpha[rows], maps.residual[rows] = estimate.alpha, estimate.residual
+    maps.leds_used[rows] = estimate.leds_used
+    maps.theta[rows] = wrap_angle(points[:, 0] - encoder)
+    maps.z[rows], maps.r[rows] = points[:, 1], points[:, 2]
+    maps.quality[rows] = quality | np.where(outside, np.uint8(0), estimate.flags)
+
+
+def _is_poor(residual: np.ndarray) -> np.ndarray:
+    """Residuals that stand three robust standard deviations above the view's, on a log scale."""
+    logarithm = np.log(np.maximum(residual, 1e-6))
+    known = logarithm[np.isfinite(logarithm)]
+    if not known.size:
+        return np.zeros(residual.shape, bool)
+    middle = np.median(known)
+    spread = _MAD_TO_STD * np.median(np.abs(known - middle))
+    return logarithm > middle + _POOR_SIGMAS * spread
+
+
+def _reshaped(maps: ViewNormals, height: int, width: int) -> ViewNormals:
+    return replace(
+        maps, **{k: m.reshape(height, width, *m.shape[1:]) for k, m in vars(maps).items()}
+    )

@@ -1,0 +1,1 @@
+"""What the workflow needs to know before any stage runs: config, digests, what is refused."""

@@ -1,0 +1,296 @@
+"""The only writer and reader of products: zarr stores, JSON, CSV and HTML files.
+
+A zarr product is written to a temporary sibling and published by rename; its root metadata
+carries a digest of all its content, so that a store that is damaged, incomplete or half
+written is never read as if it were whole.
+"""
+
+import csv
+import hashlib
+import io
+import json
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from zarr.codecs import BloscCodec
+
+from treadlight.errors import StoreError
+from treadlight.geometry import Axis, Camera, Illumination, Led, Plane, Rig
+
+ROOT_METADATA = "zarr.json"
+_CHUNK = 256
+_SHARD = 1024
+_CONVENTIONS = "CF-1.11"
+
+
+def write_store(path: Path, dataset: xr.Dataset, *, title: str, source: str) -> None:
+    """Publish a dataset as a sharded zarr 3 store at `path` (the store's folder).
+
+    Parameters
+    ----------
+    path : Path
+    dataset : xarray.Dataset
+        Every variable needs the attributes ``units`` and ``long_name``.
+    title, source : str
+        Of the root; `source` is the capture's (or calibration's, or tire's) id.
+
+    Raises
+    ------
+    ValueError
+        A variable lacks an attribute: a defect of the caller.
+    """
+    for name, variable in dataset.variables.items():
+        missing = {"units", "long_name"} - set(variable.attrs)
+        if missing:
+            raise ValueError(f"{title}: variable {name!r} lacks {sorted(missing)}.")
+    root = {"title": title, "source": source, "Conventions": _CONVENTIONS}
+    dataset = _with_strings(dataset.assign_attrs({**dataset.attrs, **root}))
+    temporary = path.with_name(f".{path.name}.writing")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.parent.mkdir(parents=True, exist_ok=True)
+    encoding = {name: _encoding(variable) for name, variable in dataset.variables.items()}
+    # One thread per store: blosc frames then never depend on the number of cores.
+    with zarr.config.set({"async.concurrency": 1, "threading.max_workers": 1}):
+        dataset.to_zarr(temporary, zarr_format=3, consolidated=False, encoding=encoding)
+    group = zarr.open_group(temporary, mode="r+", use_consolidated=False)
+    group.attrs["content_digest"] = content_digest(temporary)
+    publish(temporary, path)
+
+
+def _with_strings(dataset: xr.Dataset) -> xr.Dataset:
+    """Texts of fixed length as texts of any length: zarr 3 specifies only the latter."""
+    fixed = {n: v.astype(object) for n, v in dataset.variables.items() if v.dtype.kind == "U"}
+    return dataset.assign({n: (v.dims, v.values, v.attrs) for n, v in fixed.items()})
+
+
+def _encoding(variable: xr.Variable) -> dict[str, Any]:
+    if not variable.ndim:
+        return {}
+    chunks = tuple(min(_CHUNK, max(size, 1)) for size in variable.shape)
+    shards = tuple(
+        chunk * min(_SHARD // _CHUNK, max(1, -(-size // chunk)))
+        for chunk, size in zip(chunks, variable.shape, strict=True)
+    )
+    encoding: dict[str, Any] = {
+        "chunks": chunks,
+        "shards": shards,
+        "compressors": BloscCodec(cname="zstd", clevel=5, shuffle="bitshuffle"),
+    }
+    if np.issubdtype(variable.dtype, np.floating):
+        encoding["_FillValue"] = np.nan
+    return encoding
+
+
+def publish(temporary: Path, path: Path) -> None:
+    """Move a finished folder into place; the old one is moved aside first, then deleted."""
+    aside = path.with_name(f".{path.name}.old")
+    shutil.rmtree(aside, ignore_errors=True)
+    if path.exists():
+        os.rename(path, aside)
+    os.rename(temporary, path)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 over the names and bytes of all files of a store but its root metadata."""
+    digest = hashlib.sha256()
+    for name in sorted(_files(path)):
+        if name == ROOT_METADATA or name.startswith(".snakemake"):
+            continue
+        digest.update(name.encode() + b"\0")
+        digest.update(hashlib.sha256((path / name).read_bytes()).digest())
+    root = json.loads((path / ROOT_METADATA).read_text())
+    root["attributes"].pop("content_digest", None)
+    digest.update(json.dumps(root, sort_keys=True).encode())
+    return digest.hexdigest()
+
+
+def _files(path: Path) -> Iterable[str]:
+    for folder, _, names in os.walk(path):
+        for name in names:
+            yield (Path(folder) / name).relative_to(path).as_posix()
+
+
+def open_store(path: Path) -> xr.Dataset:
+    """Open a product, lazily, after its content was held against its digest.
+
+    Raises
+    ------
+    StoreError
+        The store is missing, incomplete or damaged.
+    """
+    path = store_folder(path)
+    metadata = path / ROOT_METADATA
+    if not metadata.is_file():
+        raise StoreError(f"{path}: there is no such product. Run the stage that writes it.")
+    claimed = _root_attributes(path).get("content_digest")
+    if claimed is None or claimed != content_digest(path):
+        raise StoreError(f"{path}: its content does not match its digest. Delete it and run again.")
+    return xr.open_zarr(path, consolidated=False, chunks=None)
+
+
+def store_folder(path: Path) -> Path:
+    """The folder of a store that was named by it or by its root zarr.json."""
+    return path.parent if path.name == ROOT_METADATA else path
+
+
+def refused_reason(path: Path) -> str | None:
+    """Why a product (store or JSON) is refused, or None if it is not (CSV never is)."""
+    path = store_folder(path)
+    if path.suffix == ".json":
+        reason = read_json(path).get("refused")
+    elif path.is_file():
+        return None
+    else:
+        reason = _root_attributes(path).get("refused")
+    return str(reason) if reason else None
+
+
+def _root_attributes(path: Path) -> dict[str, Any]:
+    root = read_json(path / ROOT_METADATA)
+    attributes = root.get("attributes") if isinstance(root, dict) else None
+    if not isinstance(attributes, dict):
+        raise StoreError(f"{path / ROOT_METADATA}: is damaged. Delete it and run again.")
+    return attributes
+
+
+def write_refused(path: Path, reason: str, *, title: str, source: str) -> None:
+    """Publish a valid, empty product that says in one sentence why it is empty."""
+    path = store_folder(path)
+    if path.suffix == ".json":
+        write_json(path, {"refused": reason})
+    else:
+        write_store(path, xr.Dataset(attrs={"refused": reason}), title=title, source=source)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Publish a JSON file; NaN becomes null, keys keep their order."""
+    text = json.dumps(_plain(content), indent=1, allow_nan=False, ensure_ascii=False)
+    write_text(path, text + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON product.
+
+    Raises
+    ------
+    StoreError
+        It is missing or damaged.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{path}: cannot be read ({error}). Delete it and run again.") from None
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Read a CSV product, one dict of texts per row.
+
+    Raises
+    ------
+    StoreError
+        It is missing or damaged.
+    """
+    try:
+        return list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")), strict=True))
+    except (OSError, ValueError, csv.Error) as error:
+        raise StoreError(f"{path}: cannot be read ({error}). Delete it and run again.") from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Publish a text file atomically."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.writing")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def variable(
+    dims: tuple[str, ...], values: np.ndarray, units: str, long_name: str, **attrs: Any
+) -> xr.Variable:
+    """A CF variable."""
+    return xr.Variable(dims, values, {"units": units, "long_name": long_name, **attrs})
+
+
+def flag_attrs(names: Iterable[str]) -> dict[str, Any]:
+    """CF attributes of a variable of bit flags: flag k is bit k."""
+    names = list(names)
+    return {"flag_masks": [1 << k for k in range(len(names))], "flag_meanings": " ".join(names)}
+
+
+def read_rig(path: Path) -> Rig:
+    """The rig of a calibration.json.
+
+    Raises
+    ------
+    StoreError
+        The file is missing or damaged.
+    """
+    content = read_json(path)
+    camera = content["camera"]
+    covariance = content.get("covariance") or {"order": [], "matrix": []}
+    return Rig(
+        camera=Camera(
+            np.array(camera["matrix"], float),
+            np.array(camera["distortion"], float),
+            (camera["size_px"][0], camera["size_px"][1]),
+        ),
+        laser_plane=_plane(content.get("laser_plane")),
+        axis=_axis(content.get("axis")),
+        reference_plane=_plane(content.get("reference_plane")),
+        leds=tuple(
+            Led(led["led"], np.array(led["position"], float), float(led["intensity"]))
+            for led in content.get("leds") or ()
+        ),
+        covariance_order=tuple(covariance["order"]),
+        covariance=np.array(covariance["matrix"], float) if covariance["order"] else None,
+    )
+
+
+def _plane(content: dict[str, Any] | None) -> Plane | None:
+    if content is None:
+        return None
+    coefficients = np.array(content["coefficients"], float)
+    return Plane(coefficients[:3], float(coefficients[3]))
+
+
+def _axis(content: dict[str, Any] | None) -> Axis | None:
+    if content is None:
+        return None
+    return Axis(np.array(content["direction"], float), np.array(content["point"], float))
+
+
+def read_illumination(path: Path, rig: Rig) -> Illumination:
+    """The LEDs of a calibration with their maps of an illumination.zarr.
+
+    Raises
+    ------
+    StoreError
+        The store is damaged, or belongs to another calibration.
+    """
+    dataset = open_store(path)
+    if rig.reference_plane is None or "radiant_intensity" not in dataset:
+        raise StoreError(f"{path}: holds no illumination. The calibration has no LEDs.")
+    if list(dataset["led"].values) != [led.number for led in rig.leds]:
+        raise StoreError(f"{path}: its LEDs are not the calibration's. Run the calibration again.")
+    maps = dataset["radiant_intensity"].values
+    step = int(dataset["u"].values[1] - dataset["u"].values[0])
+    return Illumination(rig.leds, rig.reference_plane, rig.camera, maps, step)
