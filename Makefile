@@ -29,7 +29,7 @@ demo: setup ## Make the demo archive (once), process it, say where the result pa
 	@echo "Result page: results/index.html"
 
 test: setup ## Run all tests, with coverage
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadgroup --cov --cov-report=term --cov-fail-under=85
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
 
 lint: setup ## Check style, types and layers
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

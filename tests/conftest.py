@@ -17,6 +17,8 @@ SHARED = ROOT.parent / "shared"
 
 def pytest_collection_modifyitems(config, items):
     """Without the shared data its tests are left out, and their number is said; never quietly."""
+    # What takes longest starts first, so that no core waits for it at the end.
+    items.sort(key=lambda item: item.path.parent.name != "workflow")
     marked = [item for item in items if item.get_closest_marker("shared")]
     if not marked or SHARED.is_dir():
         return

@@ -1,5 +1,6 @@
 """A project of its own with a tiny archive, processed once; tests plan changes against it."""
 
+import fcntl
 import os
 import re
 import shutil
@@ -61,9 +62,27 @@ class Project:
 
 
 @pytest.fixture(scope="session")
-def processed(tmp_path_factory) -> Project:
-    """The tiny archive, processed on two cores."""
-    project = Project(tmp_path_factory.mktemp("project") / "p")
+def made_once(tmp_path_factory, worker_id) -> Project:
+    """The tiny archive, processed on two cores by the first worker that asks."""
+    shared = tmp_path_factory.getbasetemp()
+    if worker_id != "master":
+        shared = shared.parent
+    project = Project(shared / "processed")
+    with (shared / "processed.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (shared / "processed.done").exists():
+            _process(project)
+            (shared / "processed.done").touch()
+    return project
+
+
+@pytest.fixture(scope="module")
+def processed(made_once, tmp_path_factory) -> Project:
+    """A copy for one module, whose tests put back what they change."""
+    return made_once.copy(tmp_path_factory.mktemp("project") / "p")
+
+
+def _process(project: Project) -> None:
     project.folder.mkdir()
     ignore = shutil.ignore_patterns("__pycache__", "*.egg-info")
     for name in ("rules", "schemas", "workflow"):
@@ -73,4 +92,3 @@ def processed(tmp_path_factory) -> Project:
     (project.folder / "config/config.yaml").write_text("archive: archive\nresults: results\n")
     project.run("treadlight", "simulate", "archive", "--preset", "tiny")
     project.snakemake()
-    return project

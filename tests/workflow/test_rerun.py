@@ -9,9 +9,6 @@ import cv2
 import pytest
 import yaml
 
-# One worker runs all of these: they share the processed project.
-pytestmark = pytest.mark.xdist_group("workflow")
-
 
 @contextmanager
 def changed(path: Path):

@@ -10,9 +10,6 @@ import pytest
 import xarray as xr
 import yaml
 
-# One worker runs all of these: they share the processed project.
-pytestmark = pytest.mark.xdist_group("workflow")
-
 
 def stores(results: Path) -> dict[str, str]:
     """SHA-256 of every file of every zarr store, by name."""
