@@ -57,7 +57,7 @@ def make_view(grid, rng, rows, bias=0.0, dark=None):
     none = np.zeros(p.shape, bool)
     material = np.full((*p.shape, 3), 0.3)
     r = true_radius(theta, z)
-    return ViewNormals(normal, covariance, r, theta, z, material, hidden, none)
+    return ViewNormals(normal, covariance, r, theta, z, material, hidden, none, none)
 
 
 def make_sections(grid, rng, count, outliers=0.02):

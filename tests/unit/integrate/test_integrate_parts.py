@@ -22,7 +22,7 @@ def view_at(theta, z, slope, std=0.02):
     covariance[..., [0, 2]] = std**2
     none = np.zeros(theta.shape, bool)
     r = np.full(theta.shape, 300.0)
-    return ViewNormals(normal, covariance, r, theta, z, normal, none, none)
+    return ViewNormals(normal, covariance, r, theta, z, normal, none, none, none)
 
 
 def test_slopes_and_their_variance_follow_from_the_normal():

@@ -109,6 +109,7 @@ def _read_views(paths: list[Path]) -> "Iterator[integrate.ViewNormals]":
 
     from treadlight import store
     from treadlight.integrate import ViewNormals
+    from treadlight.integrate.gather import FLAGS
 
     for path in paths:
         view = store.open_store(path).load()
@@ -121,8 +122,7 @@ def _read_views(paths: list[Path]) -> "Iterator[integrate.ViewNormals]":
             view.theta.values,
             view.z.values,
             np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
-            flags["shadowed"],
-            flags["saturated"],
+            *(flags[name] for name in FLAGS),
         )
 
 

@@ -20,8 +20,8 @@ class Photometry:
     variance : (2, n, m) float32
     material : (3, n, m) float32
         k_d, k_s, alpha.
-    flags : (2, n, m) float32
-        Share of pixels that are shadowed, saturated.
+    flags : (3, n, m) float32
+        Share of pixels that have each of `gather.FLAGS`.
     """
 
     slope: np.ndarray
@@ -40,7 +40,7 @@ def merge_views(fields: list[ViewField], grid: CylinderGrid) -> Photometry:
     slope = np.zeros((2, n, m), np.float32)
     information = np.zeros((2, n, m), np.float32)
     material = np.zeros((3, n, m), np.float32)
-    flags = np.zeros((2, n, m), np.float32)
+    flags = np.zeros((3, n, m), np.float32)
     lit = np.zeros((n, m), np.float32)
     seen = np.zeros((n, 1), np.float32)
     largest = np.zeros((n, m), np.float32)

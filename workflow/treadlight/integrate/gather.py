@@ -7,7 +7,8 @@ from numba import njit
 
 from treadlight.geometry import CylinderGrid
 
-FLAGS = ("shadowed", "saturated")
+FLAGS = ("shadowed", "saturated", "poor_fit")
+POOR_FIT = FLAGS.index("poor_fit")
 # A cell has a slope where at least this much of a pixel fell on it (bilinear shares add up to
 # about one where the view has a pixel per cell).
 _LEAST_SHARE = 0.15
@@ -27,7 +28,7 @@ class ViewNormals:
         Scene point of the pixel in {T}, mm, rad, mm.
     material : (v, u, 3) float
         k_d, k_s, alpha.
-    shadowed, saturated : (v, u) bool
+    shadowed, saturated, poor_fit : (v, u) bool
     """
 
     normal: np.ndarray
@@ -38,6 +39,7 @@ class ViewNormals:
     material: np.ndarray
     shadowed: np.ndarray
     saturated: np.ndarray
+    poor_fit: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,8 @@ class ViewField:
     variance : (2, k, m) float32
         Of the slopes.
     material : (3, k, m) float32
-    flags : (2, k, m) float32
-        Share of the cell's pixels that are shadowed, saturated.
+    flags : (3, k, m) float32
+        Share of the cell's pixels that have each of `FLAGS`.
     blend : (k,) float32
         1 in the middle of the view, falling linearly to its ends.
     """
@@ -103,6 +105,7 @@ def view_field(view: ViewNormals, grid: CylinderGrid) -> ViewField | None:
             usable[None],
             view.shadowed[inside][None],
             view.saturated[inside][None],
+            view.poor_fit[inside][None],
             np.ones((1, slope.shape[1])),
         ]
     ).astype(np.float32)
@@ -114,7 +117,7 @@ def view_field(view: ViewNormals, grid: CylinderGrid) -> ViewField | None:
         slope = np.where(known, total[0:2] / total[2:4], np.nan)
         variance = np.where(known, 1 / total[2:4], np.nan)
         material = np.where(known, total[4:7] / total[7], np.nan)
-        flags = np.where(total[10] > 0, total[8:10] / total[10], 0)
+        flags = np.where(total[11] > 0, total[8:11] / total[11], 0)
     return ViewField(rows, slope, variance, material, flags, _blend(len(rows)))
 
 

@@ -1,7 +1,7 @@
 """The whole integration of one capture: sections, views and first surface in, profile out."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -13,6 +13,7 @@ from treadlight.integrate.bias import remove_bias
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
+from treadlight.integrate.slots import ClosedTread, close_cuts, slot_depths
 from treadlight.integrate.solve import Problem, Solution, integrate
 from treadlight.integrate.uncertainty import (
     HeldOut,
@@ -114,46 +115,67 @@ def integrate_capture(
     laser = laser_cells(
         sections.r, sections.theta, sections.z, sections.r_std, photometry.slope, grid
     )
+    closed = close_cuts(
+        fields, start, usual_std, laser, lambda r: _relative_depth(r, grid), spacing, grid
+    )
+    fields = [_outside(f, closed.reach) for f in fields]
+    photometry = merge_views(fields, grid)
+    tread_points = laser.select(closed.on_tread)
     noise = _noise_std(photometry, grid)
-    walls = prior.step_height(start, np.full(start.shape, usual_std), grid) > 0
+    flat = np.full(start.shape, usual_std)
+    walls = prior.step_height(closed.r, flat, grid) > 0
+    first = FirstSurface(
+        np.where(closed.bridged, closed.r, surface.r),
+        np.where(closed.bridged, usual_std, surface.r_std),
+    )
 
     def solve(used: LaserCells) -> tuple[Photometry, Problem, Solution]:
-        unbiased = _unbiased(fields, used, start, walls, spacing, grid)
-        problem = _problem(unbiased, used, start, surface, spacing, grid)
-        return unbiased, problem, integrate(problem, start, usual_std, noise)
+        unbiased = _unbiased(fields, used, closed.r, walls, spacing, grid)
+        problem = _problem(unbiased, used, closed, first, spacing, grid)
+        return unbiased, problem, integrate(problem, closed.r, usual_std, noise)
 
-    factor, proof = 1.0, compare_held_out(start, laser.select(np.zeros(len(laser.value), bool)))
-    out = held_out(len(sections.r), held_out_every)[laser.section]
+    factor = 1.0
+    proof = compare_held_out(closed.r, laser.select(np.zeros(len(laser.value), bool)))
+    out = held_out(len(sections.r), held_out_every)[tread_points.section]
     # The first surface knows the held-out sections: only where it counts for nothing against the
     # slopes is the comparison with them a proof.
-    held = laser.select(out & np.isfinite(photometry.slope[0])[laser.row, laser.column])
+    lit = np.isfinite(photometry.slope[0])
+    held = tread_points.select(out & lit[tread_points.row, tread_points.column])
     if len(held.value):
-        _, problem, solution = solve(laser.select(~out))
+        _, problem, solution = solve(tread_points.select(~out))
         # At a wall a laser point and a cell are not the same place.
         clear = _clear(_steps(solution, grid) | walls, grid)
         held = held.select(clear[held.row, held.column])
         std = sampled_std(problem, solution, grid)
         factor = max(1.0, coverage_factor(solution.r, std, held))
         proof = compare_held_out(solution.r, held)
-    photometry, problem, solution = solve(laser)
+    photometry, problem, solution = solve(tread_points)
     std = factor * sampled_std(problem, solution, grid)
-    known = np.isfinite(photometry.slope[0]) | np.isfinite(surface.r)
-    r = np.where(known, solution.r, np.nan)
-    slope = _solved_slopes(r, solution, problem.edges, grid)
+    depth, depth_std = slot_depths(closed.slots, solution.r, laser.select(closed.in_slot))
+    inside = closed.slots.mask
+    known = np.isfinite(photometry.slope[0]) | np.isfinite(first.r)
+    top = np.where(known, solution.r, np.nan)
+    r = np.where(inside, top - depth, top)
+    slope = _solved_slopes(top, solution, problem.edges, grid)
     return Profile(
         r=r,
-        r_std=np.where(known, std, np.nan),
+        r_std=np.where(np.isfinite(r), np.where(inside, np.hypot(std, depth_std), std), np.nan),
         normal=_normals(slope),
         material=photometry.material,
         laser=_cells(laser, grid),
         photometric=np.isfinite(photometry.slope[0]),
-        step=_steps(solution, grid),
+        step=_steps(solution, grid) | (closed.reach & ~inside),
         shadowed=photometry.flags[0] > 0.5,
         saturated=photometry.flags[1] > 0.5,
         held_out=proof,
         laser_points=len(laser.value),
         normal_residual=_normal_residual(slope, photometry.slope),
     )
+
+
+def _outside(field: ViewField, mask: np.ndarray) -> ViewField:
+    """The field without its slopes in a mask (n, m)."""
+    return replace(field, slope=np.where(mask[field.rows], np.float32(np.nan), field.slope))
 
 
 def _unbiased(
@@ -190,11 +212,12 @@ def _relative_depth(start: np.ndarray, grid: CylinderGrid) -> np.ndarray:
 def _problem(
     photometry: Photometry,
     laser: LaserCells,
-    start: np.ndarray,
+    closed: ClosedTread,
     surface: FirstSurface,
     spacing: float,
     grid: CylinderGrid,
 ) -> Problem:
+    start = closed.r
     std = prior.edge_std(start, surface.r_std, grid)
     known = np.isfinite(surface.r) & (std > 0)
     edges = build_edges(
@@ -205,7 +228,7 @@ def _problem(
     # what all edges are cut around needs it: within the height of the tread.
     low, high = np.percentile(start, [1, 99])
     level = 1 / max(high - low, 1.0) ** 2
-    dark = known & ~np.isfinite(photometry.slope[0])
+    dark = known & ~np.isfinite(photometry.slope[0]) & ~closed.reach
     weight = np.where(dark, 1 / np.where(dark, std**2, 1) / spacing, 0)
     weight = np.where(known, np.maximum(weight, level), 0)
     return Problem(edges, laser, start, weight)
