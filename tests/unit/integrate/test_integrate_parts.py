@@ -7,7 +7,11 @@ from treadlight.integrate.edges import curl_scale
 from treadlight.integrate.gather import ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.quality import frame_std
-from treadlight.integrate.uncertainty import compare_held_out, coverage_factor
+from treadlight.integrate.uncertainty import (
+    compare_held_out,
+    coverage_factor,
+    points_per_error,
+)
 
 
 def sector():
@@ -104,10 +108,25 @@ def test_held_out_comparison_takes_the_lasers_own_noise_out(rng):
     found = compare_held_out(r, held)
     assert found.shape_rms == pytest.approx(0.061, rel=0.15)
     assert found.bias == pytest.approx(0.01, abs=0.006)
-    # Told 0.02, the truth is 0.06; held-out points overstate it by the root of two.
+    # Told 0.02, the truth is 0.06.
     factor = coverage_factor(r, np.full(r.shape, 0.02), held)
-    assert factor == pytest.approx(3 / np.sqrt(2), rel=0.15)
+    assert factor == pytest.approx(3, rel=0.15)
     assert coverage_factor(r, np.full(r.shape, 0.02), held.select(np.arange(n) < 5)) == 1.0
+
+
+def test_points_whose_errors_go_together_count_as_fewer(rng):
+    """A moving mean over five independent errors: 1 + 2 (0.8 + 0.6 + 0.4 + 0.2) = 5 points."""
+    sections, n = 40, 500
+    section, column = (a.ravel() for a in np.mgrid[:sections, :n])
+    white = rng.normal(0, 0.1, (sections, n + 4))
+    alike = np.lib.stride_tricks.sliding_window_view(white, 5, axis=1).mean(axis=2)
+    r = np.full((sections, n), 300.0)
+    for values, expected in ((white[:, :n], 1), (alike, 5)):
+        laser = LaserCells(
+            section, column, 300 + values.ravel(), np.full(section.size, 0.1), section
+        )
+        assert points_per_error(laser, r) == pytest.approx(expected, rel=0.15)
+    assert points_per_error(laser.select(np.zeros(section.size, bool)), r) == 1.0
 
 
 def test_frame_uncertainty_follows_from_the_axis():

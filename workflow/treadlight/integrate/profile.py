@@ -124,9 +124,11 @@ def integrate_capture(
     noise = _noise_std(photometry, grid)
     flat = np.full(start.shape, usual_std)
     walls = prior.step_height(closed.r, flat, grid) > 0
+    # Two sections' errors are spread over the cells between them.
+    bridge_std = usual_std * np.sqrt(2 / spacing)
+    bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
     first = FirstSurface(
-        np.where(closed.bridged, closed.r, surface.r),
-        np.where(closed.bridged, usual_std, surface.r_std),
+        np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
     )
 
     def solve(used: LaserCells) -> tuple[Photometry, Problem, Solution]:

@@ -169,12 +169,22 @@ def _add_edges(w_theta, w_z, step, r, residual):
             residual[i, j] += value
 
 
-def perturbation(problem: Problem, system: System, rng: np.random.Generator) -> np.ndarray:
-    """A random right-hand side whose covariance is the matrix: (n, m), mm^-1.
+def perturbation(
+    problem: Problem, system: System, laser: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """A random right-hand side under the noise of all constraints: (n, m), mm^-1.
 
-    Heights that answer to it have the inverse matrix as covariance.
+    Heights that answer to it have the covariance of the solution.
+
+    Parameters
+    ----------
+    problem : Problem
+    system : System
+    laser : (n, m) float
+        Variance of the laser's part, mm^-2.
+    rng : numpy.random.Generator
     """
-    noise = np.sqrt(system.data) * rng.standard_normal(system.data.shape)
+    noise = np.sqrt(problem.prior_weight + laser) * rng.standard_normal(laser.shape)
     jumps = [np.sqrt(w) * rng.standard_normal(w.shape) for w in (system.w_theta, system.w_z)]
     noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
     noise += np.roll(jumps[1], 1, axis=1) - jumps[1]
