@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from treadlight.calibrate.corners import ESTIMATORS, detect_corners, object_points, to_8bit
 from treadlight.errors import CalibrationError
 from treadlight.geometry import Camera, Plane
 
@@ -30,24 +29,6 @@ _MODELS = (
 
 
 @dataclass(frozen=True)
-class BoardView:
-    """An image of a checkerboard.
-
-    Attributes
-    ----------
-    image : (h, w) uint8
-        See `corners.to_8bit`.
-    inner_corners : (int, int)
-        Columns and rows of inner corners.
-    square_mm : float
-    """
-
-    image: np.ndarray
-    inner_corners: tuple[int, int]
-    square_mm: float
-
-
-@dataclass(frozen=True)
 class CameraCalibration:
     """A calibrated camera and how good it is.
 
@@ -60,15 +41,12 @@ class CameraCalibration:
         Poses used.
     covariance : (9, 9) float64
         Of `PARAMETERS`; rows of parameters that were held are zero.
-    estimator : str
-        Name in `corners.ESTIMATORS` of the one that fitted better.
     """
 
     camera: Camera
     rms_px: float
     poses: int
     covariance: np.ndarray
-    estimator: str
 
 
 @dataclass(frozen=True)
@@ -91,47 +69,34 @@ class BoardPose:
         return (points - self.translation) @ self.rotation
 
 
-def calibrate_camera(views: Sequence[BoardView]) -> CameraCalibration:
+_Pair = tuple[np.ndarray, np.ndarray]
+
+
+def calibrate_camera(pairs: Sequence[_Pair], size_px: tuple[int, int]) -> CameraCalibration:
     """Intrinsics from images of checkerboards (Zhang 2000; dissertation 6.3.1).
 
-    Both corner estimators are run; the one whose calibration reprojects better is taken.
+    Of a nested family of lens models the one with the least Akaike criterion is taken: higher
+    coefficients that the poses cannot tell from noise run away and take the focal length along.
+    Poses that fit far worse than the others are dropped.
+
+    Parameters
+    ----------
+    pairs : sequence of ((n, 2), (n, 3)) float
+        Corners of each board in the image, px, and in its own frame, mm.
+    size_px : (int, int)
+        Width and height of the images.
 
     Raises
     ------
     CalibrationError
-        Fewer than `MIN_POSES` boards are found, or they do not determine the focal length.
+        Fewer than `MIN_POSES` boards, or boards that do not determine the focal length.
     """
-    detected = [detect_corners(view.image, view.inner_corners) for view in views]
-    fits = []
-    for name in ESTIMATORS:
-        found = [
-            (corners[name], object_points(view.inner_corners, view.square_mm))
-            for corners, view in zip(detected, views, strict=True)
-            if name in corners
-        ]
-        if len(found) >= MIN_POSES:
-            height, width = views[0].image.shape
-            fits.append(calibrate_from_corners(found, (width, height), name))
-    if not fits:
+    if len(pairs) < MIN_POSES:
         raise CalibrationError(
-            f"board frames: the checkerboard was found in fewer than {MIN_POSES} of {len(views)}"
-            " frames. Check board.inner_corners in capture.yaml, or add poses that show the"
+            f"board frames: the checkerboard was found in {len(pairs)} frames, {MIN_POSES} are"
+            " needed. Check board.inner_corners in capture.yaml, or add poses that show the"
             " whole board."
         )
-    return min(fits, key=lambda fit: fit.rms_px)
-
-
-_Pair = tuple[np.ndarray, np.ndarray]
-
-
-def calibrate_from_corners(
-    pairs: Sequence[_Pair], size_px: tuple[int, int], estimator: str = ""
-) -> CameraCalibration:
-    """Intrinsics from (corners (n, 2), board (n, 3)) of each pose, outlier poses dropped.
-
-    Of a nested family of lens models the one with the least Akaike criterion is taken: higher
-    coefficients that the poses cannot tell from noise run away and take the focal length along.
-    """
     used = list(pairs)
     while True:
         fit, per_view = _best_model(used, size_px)
@@ -145,7 +110,7 @@ def calibrate_from_corners(
             "board frames: the poses do not determine the focal length. Add boards that are"
             " tilted by 20 degrees and more, about two axes."
         )
-    return CameraCalibration(fit.camera, rms, len(used), covariance, estimator)
+    return CameraCalibration(fit.camera, rms, len(used), covariance)
 
 
 @dataclass(frozen=True)
@@ -224,13 +189,3 @@ def board_pose(camera: Camera, corners: np.ndarray, board: np.ndarray) -> BoardP
     projected, _ = cv2.projectPoints(board, rvec, tvec, camera.matrix, camera.distortion)
     rms = np.sqrt(np.mean(np.sum((projected.reshape(-1, 2) - corners) ** 2, axis=1)))
     return BoardPose(cv2.Rodrigues(rvec)[0], tvec.ravel(), float(rms))
-
-
-def find_corners(
-    intensity: np.ndarray, inner_corners: tuple[int, int], estimator: str
-) -> np.ndarray | None:
-    """Corners (n, 2) of the board in a linear image (h, w), or None where none is found.
-
-    `estimator` is the one that served the camera's calibration: see `CameraCalibration`.
-    """
-    return detect_corners(to_8bit(intensity), inner_corners, (estimator,)).get(estimator)

@@ -1,28 +1,54 @@
-"""Checkerboard corners in an image, by two estimators between which the data choose."""
+"""Checkerboard corners in an image: found by OpenCV, placed by a model of the image around each."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
 import numpy as np
+
+from treadlight.calibrate.saddle import fit_saddles
 
 # Above this many pixels a board is first looked for in a smaller image: the detectors' time
 # grows with the area, and a board that fills a useful part of the field is as plain there.
 _SEARCH_PIXELS = 2_000_000
 # Below this many pixels a side no board of useful size can be told.
 _MIN_SEARCH_SIDE = 200
-# Share of the distance to the nearest corner that the window of cornerSubPix may cover; at one
-# half it would take in the next corners' edges.
+# Share of the distance to the nearest corner that the window of a fit may cover; at one half
+# it would take in the next corners' edges.
 _WINDOW_SHARE = 0.4
-_REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
-ESTIMATORS = ("sector", "gradient")
+# Half-width of the largest window: what a fit costs grows with its square.
+_MOST_HALF_PX = 20
+# Edges softer than this have nothing to show in finer pixels.
+_SOFT_PX = 2.0
+
+
+def find_corners(intensity: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | None:
+    """Inner corners of a checkerboard, columns running fastest, or None where none is found.
+
+    Parameters
+    ----------
+    intensity : (h, w) float
+        Linear.
+    inner_corners : (int, int)
+        Columns and rows.
+
+    Returns
+    -------
+    (n, 2) float64 or None
+        Pixels, to some hundredths.
+    """
+    image = to_8bit(intensity)
+    for small, factor in _search_images(image):
+        raw = _search(small, inner_corners)
+        if raw is not None:
+            return _refine(intensity, _ordered(_to_full(raw, factor), inner_corners), inner_corners)
+    return None
 
 
 def to_8bit(intensity: np.ndarray) -> np.ndarray:
     """Linear intensity (h, w) as 8-bit counts for a detector: stretched, square root.
 
-    The square root keeps the dark squares apart from black. It is the same at every pixel, so
-    it does not move an edge's steepest place by more than the edge's own asymmetry.
+    The square root keeps the dark squares apart from black.
     """
     low, high = np.percentile(intensity, [1, 99.5])
     scale = max(float(high - low), 1e-9)
@@ -36,51 +62,30 @@ def object_points(inner_corners: tuple[int, int], square_mm: float) -> np.ndarra
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * square_mm
 
 
-def detect_corners(
-    image: np.ndarray,
-    inner_corners: tuple[int, int],
-    estimators: Collection[str] = ESTIMATORS,
-) -> dict[str, np.ndarray]:
-    """Corners (n, 2) float64 of a board in an 8-bit image, by each estimator that finds it.
-
-    ``sector`` is OpenCV's sector-based detector (Duda and Frese 2018), precise on large squares
-    and biased on small ones; ``gradient`` starts at any detector's corners and moves each to
-    where the gradients nearby point past it (Foerstner; cornerSubPix). The first costs a
-    hundred times the second.
-    """
-    for small, factor in _search_images(image):
-        found = _search(small, inner_corners, estimators)
-        if not found:
-            continue
-        full = {name: _ordered(_to_full(raw, factor), inner_corners) for name, raw in found.items()}
-        if "gradient" in full:
-            full["gradient"] = _refine(image, full["gradient"], inner_corners)
-        return full
-    return {}
-
-
-def _search(
-    image: np.ndarray, inner_corners: tuple[int, int], estimators: Collection[str]
-) -> dict[str, np.ndarray]:
-    """Where each wanted estimator has its corners, or its start, in an image of any scale."""
-    found = {}
-    if "gradient" in estimators:
-        is_there, raw = cv2.findChessboardCorners(image, inner_corners)
-        if is_there:
-            found["gradient"] = raw
-    if "sector" in estimators or not found:
+def _search(image: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | None:
+    """Corners to a pixel or so. The second detector costs a hundred times the first."""
+    found, corners = cv2.findChessboardCorners(image, inner_corners)
+    if not found:
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-        is_there, raw = cv2.findChessboardCornersSB(image, inner_corners, flags=flags)
-        if is_there:
-            found = {name: found.get(name, raw) for name in estimators}
-    return found
+        found, corners = cv2.findChessboardCornersSB(image, inner_corners, flags=flags)
+    return np.asarray(corners) if found else None
 
 
-def _refine(image: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray:
-    half = max(2, int(_WINDOW_SHARE * _spacing(corners, inner_corners)))
-    start = corners.astype(np.float32).reshape(-1, 1, 2)
-    refined = cv2.cornerSubPix(image, start, (half, half), (-1, -1), _REFINE)
-    return refined.reshape(-1, 2).astype(np.float64)
+def _refine(
+    intensity: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]
+) -> np.ndarray:
+    """Fits in the smallest image whose window holds enough, then in finer ones while it is sharp."""
+    half = _WINDOW_SHARE * _spacing(corners, inner_corners)
+    factor = max(1.0, half / _MOST_HALF_PX)
+    while True:
+        small, scale = _shrunk(intensity, factor)
+        size = max(2, min(int(half / factor), _MOST_HALF_PX))
+        start = ((corners + 0.5) / scale - 0.5).reshape(inner_corners[1], inner_corners[0], 2)
+        saddles = fit_saddles(small, start, size)
+        corners = _to_full(saddles.position, scale)
+        if factor == 1.0 or np.median(saddles.softness_px) > _SOFT_PX:
+            return corners
+        factor = max(1.0, 0.5 * factor)
 
 
 def _search_images(image: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight import store
     from treadlight.archive import read_capture
     from treadlight.calibrate.axis import calibrate_axis
-    from treadlight.calibrate.camera import find_corners
+    from treadlight.calibrate.corners import find_corners
     from treadlight.calibrate.uncertainty import camera_jacobian
     from treadlight.commands.common import progress, run_stage
     from treadlight.images import FrameReader
@@ -35,7 +35,6 @@ def run(args: argparse.Namespace) -> int:
     def work() -> None:
         rig = store.read_rig(args.camera)
         camera, covariance = rig.camera, np.asarray(rig.covariance)
-        estimator = store.read_json(args.camera)["corner_estimator"]
         frames, board = capture.of_kind("axis_board"), capture.axis_board
         if not frames or board is None:
             store.write_json(args.out, {"axis": None})
@@ -43,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         reader = FrameReader(capture)
         corners, angles = [], []
         for frame in progress(frames, "axis boards"):
-            found = find_corners(reader.read(frame).intensity, board.inner_corners, estimator)
+            found = find_corners(reader.read(frame).intensity, board.inner_corners)
             if found is not None:
                 corners.append(found)
                 angles.append(np.radians(frame.encoder_deg or 0.0))

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight import store
     from treadlight.archive import read_capture
     from treadlight.calibrate import camera as core
-    from treadlight.calibrate.corners import object_points, to_8bit
+    from treadlight.calibrate.corners import find_corners, object_points
     from treadlight.commands.common import progress, run_stage
     from treadlight.errors import CalibrationError
     from treadlight.images import FrameReader
@@ -41,19 +41,16 @@ def run(args: argparse.Namespace) -> int:
         if capture.axis_board:
             kinds["axis_board"] = capture.axis_board
         frames = [(f, shown) for kind, shown in kinds.items() for f in capture.of_kind(kind)]
-        views = [
-            core.BoardView(
-                to_8bit(reader.read(frame).intensity), shown.inner_corners, shown.square_mm
-            )
-            for frame, shown in progress(frames, "boards")
-        ]
-        found = core.calibrate_camera(views)
+        pairs = []
+        for frame, shown in progress(frames, "boards"):
+            corners = find_corners(reader.read(frame).intensity, shown.inner_corners)
+            if corners is not None:
+                pairs.append((corners, object_points(shown.inner_corners, shown.square_mm)))
+        found = core.calibrate_camera(pairs, capture.encoding.size_px)
         plane = None
         board = object_points(capture.board.inner_corners, capture.board.square_mm)
         for frame in capture.of_kind("reference_board"):
-            corners = core.find_corners(
-                reader.read(frame).intensity, capture.board.inner_corners, found.estimator
-            )
+            corners = find_corners(reader.read(frame).intensity, capture.board.inner_corners)
             if corners is None:
                 raise CalibrationError(
                     f"{capture.path(frame)}: shows no checkerboard of {capture.board.inner_corners}"
@@ -87,7 +84,6 @@ def _content(found, plane) -> dict:
         "reference_plane": (
             None if plane is None else {"coefficients": [*plane.normal, plane.offset]}
         ),
-        "corner_estimator": found.estimator,
         "covariance": {
             "order": [f"camera.{name}" for name in PARAMETERS],
             "matrix": found.covariance,

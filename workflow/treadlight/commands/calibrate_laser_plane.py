@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.archive import read_capture
     from treadlight.calibrate import camera as boards
     from treadlight.calibrate import laser_plane as core
-    from treadlight.calibrate.corners import object_points
+    from treadlight.calibrate.corners import find_corners, object_points
     from treadlight.calibrate.uncertainty import camera_jacobian
     from treadlight.commands.common import progress, run_stage
     from treadlight.images import FrameReader
@@ -35,7 +35,6 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         rig = store.read_rig(args.camera)
-        estimator = store.read_json(args.camera)["corner_estimator"]
         laser_frames = {f.pose: f for f in capture.of_kind("board_laser")}
         if not laser_frames or capture.board is None:
             store.write_json(args.out, {"laser_plane": None})
@@ -47,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         for frame in progress(capture.of_kind("board"), "laser lines"):
             if frame.pose not in laser_frames:
                 continue
-            corners = boards.find_corners(reader.read(frame).intensity, inner, estimator)
+            corners = find_corners(reader.read(frame).intensity, inner)
             if corners is None:
                 continue
             intensity = reader.read(laser_frames[frame.pose]).intensity

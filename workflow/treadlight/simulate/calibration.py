@@ -14,9 +14,8 @@ from treadlight.simulate.rig import TREAD_DISTANCE_MM, SimulatedRig, board_outli
 _WHITE, _BLACK = 0.8, 0.07
 _FWHM_PER_SIGMA = 2.3548200450309493
 _CHROME = 0.6
-# A pixel is the mean of 4x4 rays, so that the edge of a square lies within hundredths of a
-# pixel; images with millions of pixels make do with fewer.
-_RAYS, _FEW_RAYS = 4, 2
+# A pixel is the mean of so many rays; images with millions of pixels make do with fewer.
+_RAYS, _FEW_RAYS = 16, 4
 _MANY_PIXELS = 4_000_000
 # An LED's image in a ball is far under a pixel; its blob is the lens's and the chip's.
 _HIGHLIGHT_SIGMA_PX = 0.7
@@ -62,20 +61,27 @@ def _board(
     return out
 
 
-def _rays(image: np.ndarray) -> int:
-    return _RAYS if image.size < _MANY_PIXELS else _FEW_RAYS
+def _rays(image: np.ndarray) -> np.ndarray:
+    """Offsets (n, 2) of the rays within a pixel.
+
+    Hammersley's points: no two share a row or column, so that an edge along the pixels lies
+    within 1/2n of a pixel and not, as on a square grid, within 1/2 sqrt(n).
+    """
+    count = _RAYS if image.size < _MANY_PIXELS else _FEW_RAYS
+    bits = count.bit_length() - 1
+    mirrored = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(count)]
+    return (np.column_stack([np.arange(count), mirrored]) + 0.5) / count - 0.5
 
 
 @njit(cache=True, parallel=True)
 def _render_board(out, rays, lens, pose, shape, plane, sigma, source):
-    weight = 1.0 / (rays * rays)
+    weight = 1.0 / len(rays)
     nx, ny, square = shape[0] + 1, shape[1] + 1, shape[2]
     for v in prange(out.shape[0]):
         for u in range(out.shape[1]):
             total = 0.0
-            for sub in range(rays * rays):
-                su = u + (sub % rays + 0.5) / rays - 0.5
-                sv = v + (sub // rays + 0.5) / rays - 0.5
+            for sub in range(len(rays)):
+                su, sv = u + rays[sub, 0], v + rays[sub, 1]
                 x, y = kernels.undistorted(su, sv, lens)
                 slope = pose[0, 2] * x + pose[1, 2] * y + pose[2, 2]
                 lift = pose[0, 2] * pose[0, 3] + pose[1, 2] * pose[1, 3] + pose[2, 2] * pose[2, 3]
@@ -127,7 +133,7 @@ def _plane_with_balls(sim: SimulatedRig, led: int, balls: np.ndarray) -> np.ndar
     light = sim.rig.leds[led]
     lamp = np.array([*light.position, *sim.beams[led], light.intensity])
     plane = np.array([*sim.reference_plane.normal, sim.reference_plane.offset])
-    rays = _rays(out) if len(balls) else 1
+    rays = _rays(out) if len(balls) else np.zeros((1, 2))
     _render_plane(out, rays, sim.lens, plane, lamp, balls, 0.5 * sim.ball_diameter_mm)
     return out
 
@@ -177,14 +183,13 @@ def _card_light(o, d, plane, lamp, balls, radius):
 
 @njit(cache=True, parallel=True)
 def _render_plane(out, rays, lens, plane, lamp, balls, radius):
-    weight = 1.0 / (rays * rays)
+    weight = 1.0 / len(rays)
     o = (0.0, 0.0, 0.0)
     for v in prange(out.shape[0]):
         for u in range(out.shape[1]):
             total = 0.0
-            for sub in range(rays * rays):
-                su = u + (sub % rays + 0.5) / rays - 0.5
-                sv = v + (sub // rays + 0.5) / rays - 0.5
+            for sub in range(len(rays)):
+                su, sv = u + rays[sub, 0], v + rays[sub, 1]
                 x, y = kernels.undistorted(su, sv, lens)
                 scale = 1.0 / np.sqrt(x * x + y * y + 1.0)
                 d = (x * scale, y * scale, scale)

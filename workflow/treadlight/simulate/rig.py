@@ -233,7 +233,7 @@ def board_outline(board: Board) -> np.ndarray:
 def _board_poses(
     board: Board, camera: Camera, turn: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
-    """Tilts up to 30 degrees about any direction, all squares inside the image."""
+    """Tilts of 10 to 40 degrees about any direction, all squares inside the image."""
     nx, ny = board.inner_corners
     reach = 0.5 * board.square_mm * np.array([nx + 1, ny + 1])
     corners = np.column_stack([reach * [[-1, -1], [1, -1], [1, 1], [-1, 1]], np.zeros(4)])
@@ -241,7 +241,7 @@ def _board_poses(
     poses: list[np.ndarray] = []
     shrink = 1.0
     while len(poses) < _BOARD_POSES:
-        tilt, way = np.radians(rng.uniform(5, 30)), rng.uniform(0, 2 * np.pi)
+        tilt, way = np.radians(rng.uniform(10, 40)), rng.uniform(0, 2 * np.pi)
         pose = np.eye(4)
         spin = rng.uniform(-0.2, 0.2)
         pose[:3, :3] = _euler(tilt * np.cos(way), tilt * np.sin(way), spin) @ _facing(turn)
