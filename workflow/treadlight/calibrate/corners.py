@@ -74,7 +74,7 @@ def _search(image: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | N
 def _refine(
     intensity: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]
 ) -> np.ndarray:
-    """Fits in the smallest image whose window holds enough, then in finer ones while it is sharp."""
+    """Fits in the smallest image whose window suffices, then in finer ones while it is sharp."""
     half = _WINDOW_SHARE * _spacing(corners, inner_corners)
     factor = max(1.0, half / _MOST_HALF_PX)
     while True:

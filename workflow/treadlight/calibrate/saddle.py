@@ -55,8 +55,7 @@ def fit_saddles(image: np.ndarray, start: np.ndarray, half_px: int) -> Saddles:
     p = np.zeros((len(first), 9))
     p[:, :2] = first - base
     p[:, 2:4] = _line_angles(start)
-    model, jacobian = _model(p, x, y)
-    linear = jacobian[..., 5:] * weight[..., None]
+    linear = _model(p, x, y)[1][..., 5:] * weight[..., None]
     p[:, 5:] = _solve(linear, values * weight, np.full(len(p), 1e-9))
     p = _levenberg_marquardt(p, values, weight, x, y, half_px)
     strayed = np.hypot(*(base + p[:, :2] - first).T) > 0.5 * half_px

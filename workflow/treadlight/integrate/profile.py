@@ -13,6 +13,7 @@ from treadlight.integrate.bias import remove_bias
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
+from treadlight.integrate.outline import Outline, fit_outline
 from treadlight.integrate.slots import ClosedTread, close_cuts, slot_depths
 from treadlight.integrate.solve import Problem, Solution, integrate
 from treadlight.integrate.uncertainty import (
@@ -25,6 +26,9 @@ from treadlight.integrate.uncertainty import (
 # An edge that keeps less than this share of its weight is a step.
 _STEP_SHARE = 0.05
 _CLEAR_CELLS = 3
+# Of the tread's depth: what is shallower is a top, what is deeper a groove's floor.
+_TOP_DEPTH = 0.25
+_FLOOR_DEPTH = 0.75
 
 
 @dataclass(frozen=True)
@@ -107,55 +111,14 @@ def integrate_capture(
     held_out_every : int
         Every n-th section stays out of the first solve; 0 = none, and one solve.
     """
-    start = prior.complete(surface.r)
-    usual_std = float(np.nanmedian(surface.r_std))
-    spacing = prior.section_spacing(sections.encoder, grid)
-    fields = [f for f in (view_field(v, grid) for v in views) if f is not None]
-    photometry = merge_views(fields, grid)
-    laser = laser_cells(
-        sections.r, sections.theta, sections.z, sections.r_std, photometry.slope, grid
-    )
-    closed = close_cuts(
-        fields, start, usual_std, laser, lambda r: _relative_depth(r, grid), spacing, grid
-    )
-    fields = [_outside(f, closed.reach) for f in fields]
-    photometry = merge_views(fields, grid)
-    tread_points = laser.select(closed.on_tread)
-    noise = _noise_std(photometry, grid)
-    flat = np.full(start.shape, usual_std)
-    walls = prior.step_height(closed.r, flat, grid) > 0
-    # Two sections' errors are spread over the cells between them.
-    bridge_std = usual_std * np.sqrt(2 / spacing)
-    bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
-    first = FirstSurface(
-        np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
-    )
-
-    def solve(used: LaserCells) -> tuple[Photometry, Problem, Solution]:
-        unbiased = _unbiased(fields, used, closed.r, walls, spacing, grid)
-        problem = _problem(unbiased, used, closed, first, spacing, grid)
-        return unbiased, problem, integrate(problem, closed.r, usual_std, noise)
-
-    factor = 1.0
-    proof = compare_held_out(closed.r, laser.select(np.zeros(len(laser.value), bool)))
-    out = held_out(len(sections.r), held_out_every)[tread_points.section]
-    # The first surface knows the held-out sections: only where it counts for nothing against the
-    # slopes is the comparison with them a proof.
-    lit = np.isfinite(photometry.slope[0])
-    held = tread_points.select(out & lit[tread_points.row, tread_points.column])
-    if len(held.value):
-        _, problem, solution = solve(tread_points.select(~out))
-        # At a wall a laser point and a cell are not the same place.
-        clear = _clear(_steps(solution, grid) | walls, grid)
-        held = held.select(clear[held.row, held.column])
-        std = sampled_std(problem, solution, grid)
-        factor = max(1.0, coverage_factor(solution.r, std, held))
-        proof = compare_held_out(solution.r, held)
-    photometry, problem, solution = solve(tread_points)
+    case = _prepare(views, sections, surface, grid)
+    proof, factor = _prove(case, held_out(len(sections.r), held_out_every))
+    photometry, problem, solution = case.solve(case.laser.select(case.closed.on_tread))
+    closed, laser = case.closed, case.laser
     std = factor * sampled_std(problem, solution, grid)
     depth, depth_std = slot_depths(closed.slots, solution.r, laser.select(closed.in_slot))
     inside = closed.slots.mask
-    known = np.isfinite(photometry.slope[0]) | np.isfinite(first.r)
+    known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
     top = np.where(known, solution.r, np.nan)
     r = np.where(inside, top - depth, top)
     slope = _solved_slopes(top, solution, problem.edges, grid)
@@ -175,23 +138,143 @@ def integrate_capture(
     )
 
 
+@dataclass(frozen=True)
+class _Case:
+    """What the solves of a capture share; lengths mm.
+
+    Attributes
+    ----------
+    fields : list of ViewField
+        Without the slopes beside cuts.
+    laser : LaserCells
+        All points.
+    closed : ClosedTread
+    first : FirstSurface
+        Bridged across cuts.
+    depth : (n, m) float32
+        See `_relative_depth`.
+    runout : (n, m) float64
+    walls : (n, m) bool
+        Steps of the first surface.
+    spacing : float
+        Distance of sections, cells along theta.
+    usual_std, noise : float
+        Standard deviation of the first surface, and of an edge from cell to cell.
+    """
+
+    grid: CylinderGrid
+    fields: list[ViewField]
+    laser: LaserCells
+    closed: ClosedTread
+    first: FirstSurface
+    depth: np.ndarray
+    runout: np.ndarray
+    walls: np.ndarray
+    spacing: float
+    usual_std: float
+    noise: float
+
+    def solve(self, laser: LaserCells) -> tuple[Photometry, Problem, Solution]:
+        """Heights from these laser points and the views, whose smooth bias they tell."""
+        fields = [
+            remove_bias(f, laser, self.depth, self.walls, self.spacing, self.grid)
+            for f in self.fields
+        ]
+        photometry = merge_views(fields, self.grid)
+        problem = self.problem(photometry, laser)
+        return photometry, problem, integrate(problem, self.closed.r, self.usual_std, self.noise)
+
+    def problem(self, photometry: Photometry, laser: LaserCells) -> Problem:
+        start, first = self.closed.r, self.first
+        std = prior.edge_std(start, first.r_std, self.grid)
+        known = np.isfinite(first.r) & (std > 0)
+        edges = build_edges(
+            photometry.slope, photometry.variance, np.where(known, start, np.nan), std, self.grid
+        )
+        # A cell of the first surface is interpolated between sections: together, as many cells as
+        # lie between two sections count as one observation. Where there is light only the level
+        # of what all edges are cut around needs it: within the height of the tread.
+        low, high = np.percentile(start, [1, 99])
+        level = 1 / max(high - low, 1.0) ** 2
+        dark = known & ~np.isfinite(photometry.slope[0]) & ~self.closed.reach
+        weight = np.where(dark, 1 / np.where(dark, std**2, 1) / self.spacing, 0)
+        weight = np.where(known, np.maximum(weight, level), 0)
+        return Problem(edges, laser, start, weight, self.outlines(laser))
+
+    def outlines(self, laser: LaserCells) -> tuple[Outline, ...]:
+        """Of the tops, and of the grooves' floors, less the fillets at their walls' feet."""
+        tops = (self.depth < _TOP_DEPTH) & ~self.closed.reach
+        floors = (self.depth > _FLOOR_DEPTH) & ~self.closed.reach & ~self.walls
+        return tuple(fit_outline(laser, c, self.runout, self.grid) for c in (tops, floors))
+
+
+def _prepare(
+    views: Iterable[ViewNormals],
+    sections: LaserSections,
+    surface: FirstSurface,
+    grid: CylinderGrid,
+) -> _Case:
+    start = prior.complete(surface.r)
+    usual_std = float(np.nanmedian(surface.r_std))
+    spacing = prior.section_spacing(sections.encoder, grid)
+    fields = [f for f in (view_field(v, grid) for v in views) if f is not None]
+    laser = laser_cells(
+        sections.r,
+        sections.theta,
+        sections.z,
+        sections.r_std,
+        merge_views(fields, grid).slope,
+        grid,
+    )
+    closed = close_cuts(
+        fields, start, usual_std, laser, lambda r: _relative_depth(r, grid)[0], spacing, grid
+    )
+    fields = [_outside(f, closed.reach) for f in fields]
+    # Two sections' errors are spread over the cells between them.
+    bridge_std = usual_std * np.sqrt(2 / spacing)
+    bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
+    depth, runout = _relative_depth(closed.r, grid)
+    return _Case(
+        grid,
+        fields,
+        laser,
+        closed,
+        FirstSurface(
+            np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
+        ),
+        depth,
+        runout,
+        prior.step_height(closed.r, np.full(start.shape, usual_std), grid) > 0,
+        spacing,
+        usual_std,
+        _noise_std(merge_views(fields, grid), grid),
+    )
+
+
+def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float]:
+    """Solve without the sections of a mask (s,): what they say, and the factor they ask for."""
+    tread_points = case.laser.select(case.closed.on_tread)
+    out = out[tread_points.section]
+    # The first surface knows the held-out sections: only where it counts for nothing against the
+    # slopes is the comparison with them a proof.
+    lit = np.zeros(case.grid.shape, bool)
+    for field in case.fields:
+        lit[field.rows] |= np.isfinite(field.slope[0])
+    held = tread_points.select(out & lit[tread_points.row, tread_points.column])
+    if not len(held.value):
+        return compare_held_out(case.closed.r, held), 1.0
+    _, problem, solution = case.solve(tread_points.select(~out))
+    # At a wall a laser point and a cell are not the same place.
+    clear = _clear(_steps(solution, case.grid) | case.walls, case.grid)
+    held = held.select(clear[held.row, held.column])
+    std = sampled_std(problem, solution, case.grid)
+    factor = max(1.0, coverage_factor(solution.r, std, held))
+    return compare_held_out(solution.r, held), factor
+
+
 def _outside(field: ViewField, mask: np.ndarray) -> ViewField:
     """The field without its slopes in a mask (n, m)."""
     return replace(field, slope=np.where(mask[field.rows], np.float32(np.nan), field.slope))
-
-
-def _unbiased(
-    fields: list[ViewField],
-    laser: LaserCells,
-    start: np.ndarray,
-    walls: np.ndarray,
-    spacing: float,
-    grid: CylinderGrid,
-) -> Photometry:
-    """The views merged after their smooth bias was taken out."""
-    depth = _relative_depth(start, grid)
-    fields = [remove_bias(f, laser, depth, walls, spacing, grid) for f in fields]
-    return merge_views(fields, grid)
 
 
 def _noise_std(photometry: Photometry, grid: CylinderGrid) -> float:
@@ -202,38 +285,17 @@ def _noise_std(photometry: Photometry, grid: CylinderGrid) -> float:
     return usual * max(1.0, curl_scale(photometry.slope, photometry.variance, grid))
 
 
-def _relative_depth(start: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """How deep a surface lies below the tread's outline: 0 on tops, 1 on groove floors."""
-    regions = tread.find_regions(start, grid)
+def _relative_depth(surface: np.ndarray, grid: CylinderGrid) -> tuple[np.ndarray, np.ndarray]:
+    """How deep a surface lies below the tread's outline, and its runout, mm: (n, m) each.
+
+    The depth is 0 on tops, 1 on groove floors.
+    """
+    regions = tread.find_regions(surface, grid)
+    runout = regions.runout.radius(grid.theta, grid.z)
     if not np.isfinite(regions.depth_mm) or regions.depth_mm <= 0:
-        return np.zeros(start.shape, np.float32)
-    depth = regions.crown + regions.runout.radius(grid.theta, grid.z) - start
-    return np.clip(np.nan_to_num(depth / regions.depth_mm), 0, 1).astype(np.float32)
-
-
-def _problem(
-    photometry: Photometry,
-    laser: LaserCells,
-    closed: ClosedTread,
-    surface: FirstSurface,
-    spacing: float,
-    grid: CylinderGrid,
-) -> Problem:
-    start = closed.r
-    std = prior.edge_std(start, surface.r_std, grid)
-    known = np.isfinite(surface.r) & (std > 0)
-    edges = build_edges(
-        photometry.slope, photometry.variance, np.where(known, start, np.nan), std, grid
-    )
-    # A cell of the first surface is interpolated between sections: together, as many cells as
-    # lie between two sections count as one observation. Where there is light only the level of
-    # what all edges are cut around needs it: within the height of the tread.
-    low, high = np.percentile(start, [1, 99])
-    level = 1 / max(high - low, 1.0) ** 2
-    dark = known & ~np.isfinite(photometry.slope[0]) & ~closed.reach
-    weight = np.where(dark, 1 / np.where(dark, std**2, 1) / spacing, 0)
-    weight = np.where(known, np.maximum(weight, level), 0)
-    return Problem(edges, laser, start, weight)
+        return np.zeros(surface.shape, np.float32), runout
+    depth = (regions.crown + runout - surface) / regions.depth_mm
+    return np.clip(np.nan_to_num(depth), 0, 1).astype(np.float32), runout
 
 
 def _cells(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:

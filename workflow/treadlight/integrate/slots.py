@@ -123,17 +123,49 @@ def close_cuts(
     """
     poor, tilted = _breaks(fields, spacing, grid)
     broken = _patches(poor | tilted, grid)
-    off = _off_tread(laser, broken, std, grid)
-    closed, _ = _interpolated(start, broken.mask, off, laser, grid)
+    count = len(laser.value)
+    sections = _completed(laser, start, std)
+    off = _off_tread(sections, broken, std, grid)
+    # What the first surface says where no point is tells of slots, not where the tread is.
+    kept = off | (np.arange(len(off)) < count)
+    sections, off = sections.select(kept), off[kept]
+    closed, _ = _interpolated(start, broken.mask, off, sections, grid)
     # Grooves that run around the tire are drawn well by the sections: they stay.
     broken = _patches(broken.mask & (depth(closed) < _GROOVE_DEPTH), grid)
-    closed, bridged = _interpolated(start, broken.mask, off, laser, grid)
+    closed, bridged = _interpolated(start, broken.mask, off, sections, grid)
     slots = _patches(broken.mask & poor, grid)
     below = closed[laser.row, laser.column] - laser.value
     deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
     in_slot = deep & slots.mask[laser.row, laser.column]
     reach = ndimage.maximum_filter(broken.mask, 3, mode=_mode(grid))
-    return ClosedTread(closed, bridged, reach, slots, ~off, in_slot)
+    return ClosedTread(closed, bridged, reach, slots, ~off[:count], in_slot)
+
+
+def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
+    """The points, and behind them the first surface where a section has none.
+
+    Deep in a slot the line is lost in some columns, where the first surface holds what it took
+    from the columns beside.
+    """
+    row, column, section = [], [], []
+    for number in np.unique(laser.section):
+        own = laser.section == number
+        columns, first = np.unique(laser.column[own], return_index=True)
+        missing = np.setdiff1d(np.arange(columns[0], columns[-1] + 1), columns)
+        found = np.interp(missing, columns, laser.row[own][first])
+        row.append(np.rint(found).astype(int))
+        column.append(missing)
+        section.append(np.full(len(missing), number))
+    if not row:
+        return laser
+    place = np.concatenate(row), np.concatenate(column)
+    return LaserCells(
+        np.concatenate([laser.row, place[0]]),
+        np.concatenate([laser.column, place[1]]),
+        np.concatenate([laser.value, start[place]]),
+        np.concatenate([laser.std, np.full(len(place[0]), std)]),
+        np.concatenate([laser.section, *section]),
+    )
 
 
 def _breaks(

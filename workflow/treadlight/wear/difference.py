@@ -2,6 +2,7 @@
 
 import numba
 import numpy as np
+from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
 from treadlight.geometry.axis import wrap_angle
@@ -14,6 +15,8 @@ _SLOPE_SIGMA_MM = 0.5
 # 27 degrees: steeper than any tread or shoulder, so a wall or its foot as it was measured; a
 # radial difference there says how the wall sits, not what wore.
 _WALL_SLOPE = 0.5
+# A wall's edge and foot are rounded.
+_WALL_MARGIN_MM = 0.3
 # Rows of interpolation on either side.
 _MARGIN = 4
 # Rows beyond a block that its slopes need.
@@ -69,8 +72,8 @@ def difference(
 
     The variance is the sum of both radii's, of the alignment's (by its covariance, in
     the radius and, times the slope, along the surface) and of a position known to the cell
-    only, times the slope. On walls, where the difference says how the wall sits and nothing of
-    wear, both are NaN.
+    only, times the slope. On walls and just beside them, where the difference says how
+    the wall sits and nothing of wear, both are NaN.
 
     Parameters
     ----------
@@ -92,6 +95,8 @@ def difference(
     ]
     along, across = (np.fmax(np.abs(a), np.abs(b)) for a, b in zip(*slopes, strict=True))
     steepness = np.nan_to_num(np.hypot(along, across), nan=np.inf)
+    margin = [2 * round(_WALL_MARGIN_MM / side) + 1 for side in _sides_mm(grid)]
+    steepness = ndimage.maximum_filter(steepness, margin, mode="nearest")
     variance = _alignment_variance(
         grid.theta,
         grid.z,
@@ -101,12 +106,16 @@ def difference(
         grid.nominal_radius_mm,
         alignment.covariance,
     )
-    cells = np.array([grid.step_theta * grid.nominal_radius_mm, grid.step_z]) ** 2 / 12
+    cells = np.square(_sides_mm(grid)) / 12
     # Twice: either surface's wall sits on its own cell.
     place = 2 * (cells[0] * np.nan_to_num(along) ** 2 + cells[1] * np.nan_to_num(across) ** 2)
     wear = np.where(steepness < _WALL_SLOPE, first - moved, np.nan)
     std = np.sqrt(first_std**2 + moved_std**2 + variance + place)
     return wear.astype(np.float32), np.where(np.isfinite(wear), std, np.nan).astype(np.float32)
+
+
+def _sides_mm(grid: CylinderGrid) -> tuple[float, float]:
+    return grid.step_theta * grid.nominal_radius_mm, grid.step_z
 
 
 @numba.njit(cache=True, parallel=True)
