@@ -5,11 +5,12 @@ from treadlight.geometry import Axis, Camera, CylinderGrid, Rig
 from treadlight.integrate import prior
 from treadlight.integrate.edges import curl_scale
 from treadlight.integrate.gather import ViewNormals, view_field
-from treadlight.integrate.laser import LaserCells, held_out, laser_cells, points_per_error
+from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.quality import frame_std
 from treadlight.integrate.uncertainty import (
     compare_held_out,
     coverage_factor,
+    points_per_error,
 )
 
 

@@ -187,3 +187,16 @@ def test_cuts_across_the_end_of_a_whole_turn_are_one():
     assert closed.slots.count == 1
     assert closed.in_slot.sum() == len(grid.z)
     np.testing.assert_allclose(closed.r, radius, atol=1e-9)
+
+
+def test_a_slot_is_closed_where_its_section_lost_the_line(grid, view, sections, surface, places):
+    """The first surface holds there what it took from the columns beside: the slot's floor."""
+    theta, z = places
+    lost = np.abs(grid.z - 1.0) < 1.1 * STEP
+    r = sections.r.copy()
+    r[4, lost] = np.nan
+    broken = LaserSections(r, sections.theta, sections.z, sections.r_std, sections.encoder)
+    profile = integrate_capture(iter([view]), broken, surface, grid, 0)
+    near = lost[None] & (across(theta, z, SLOTS[1]) < 6) & (across(theta, z, SLOTS[1]) > 3)
+    assert near.sum() > 20
+    assert np.abs(profile.r - true_radius(theta, z))[near].max() < 5 * LASER_STD

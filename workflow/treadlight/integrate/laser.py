@@ -6,12 +6,6 @@ import numpy as np
 
 from treadlight.geometry import CylinderGrid
 
-# Points further off than this many robust standard deviations are no noise.
-_CLIP = 3.0
-# Autocorrelations count up to the first below this.
-_LEAST_CORRELATION = 0.05
-_MAX_LAG = 64
-
 
 @dataclass(frozen=True)
 class LaserCells:
@@ -77,29 +71,3 @@ def held_out(sections: int, every: int) -> np.ndarray:
     if every <= 0:
         return np.zeros(sections, bool)
     return (place % every == every // 2) & (place > 0) & (place < sections - 1)
-
-
-def points_per_error(laser: LaserCells, r: np.ndarray) -> float:
-    """How many neighbouring points of a section share one error: 1 + 2 sum of autocorrelations.
-
-    Speckle and the detection's smoothing make the errors of neighbours alike, so that a mean
-    over n points is known as well as one over n / this (Bartlett 1946).
-    """
-    miss = laser.value - r[laser.row, laser.column]
-    spread = 1.4826 * float(np.median(np.abs(miss))) if len(miss) else 0.0
-    if spread == 0:
-        return 1.0
-    line = np.full((int(laser.section.max()) + 1, r.shape[1]), np.nan)
-    usual = np.abs(miss) < _CLIP * spread
-    line[laser.section[usual], laser.column[usual]] = miss[usual]
-    power = np.nanmean(line**2)
-    total = 1.0
-    for lag in range(1, min(_MAX_LAG, line.shape[1])):
-        products = line[:, lag:] * line[:, :-lag]
-        if not np.isfinite(products).any():
-            break
-        correlation = float(np.nanmean(products) / power)
-        if correlation < _LEAST_CORRELATION:
-            break
-        total += 2 * correlation
-    return total

@@ -13,7 +13,6 @@ from treadlight.integrate.bias import remove_bias
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
-from treadlight.integrate.outline import Outline, fit_outline
 from treadlight.integrate.slots import ClosedTread, close_cuts, slot_depths
 from treadlight.integrate.solve import Problem, Solution, integrate
 from treadlight.integrate.uncertainty import (
@@ -26,9 +25,6 @@ from treadlight.integrate.uncertainty import (
 # An edge that keeps less than this share of its weight is a step.
 _STEP_SHARE = 0.05
 _CLEAR_CELLS = 3
-# Of the tread's depth: what is shallower is a top, what is deeper a groove's floor.
-_TOP_DEPTH = 0.25
-_FLOOR_DEPTH = 0.75
 
 
 @dataclass(frozen=True)
@@ -153,7 +149,6 @@ class _Case:
         Bridged across cuts.
     depth : (n, m) float32
         See `_relative_depth`.
-    runout : (n, m) float64
     walls : (n, m) bool
         Steps of the first surface.
     spacing : float
@@ -168,7 +163,6 @@ class _Case:
     closed: ClosedTread
     first: FirstSurface
     depth: np.ndarray
-    runout: np.ndarray
     walls: np.ndarray
     spacing: float
     usual_std: float
@@ -199,13 +193,7 @@ class _Case:
         dark = known & ~np.isfinite(photometry.slope[0]) & ~self.closed.reach
         weight = np.where(dark, 1 / np.where(dark, std**2, 1) / self.spacing, 0)
         weight = np.where(known, np.maximum(weight, level), 0)
-        return Problem(edges, laser, start, weight, self.outlines(laser))
-
-    def outlines(self, laser: LaserCells) -> tuple[Outline, ...]:
-        """Of the tops, and of the grooves' floors, less the fillets at their walls' feet."""
-        tops = (self.depth < _TOP_DEPTH) & ~self.closed.reach
-        floors = (self.depth > _FLOOR_DEPTH) & ~self.closed.reach & ~self.walls
-        return tuple(fit_outline(laser, c, self.runout, self.grid) for c in (tops, floors))
+        return Problem(edges, laser, start, weight)
 
 
 def _prepare(
@@ -227,13 +215,12 @@ def _prepare(
         grid,
     )
     closed = close_cuts(
-        fields, start, usual_std, laser, lambda r: _relative_depth(r, grid)[0], spacing, grid
+        fields, start, usual_std, laser, lambda r: _relative_depth(r, grid), spacing, grid
     )
     fields = [_outside(f, closed.reach) for f in fields]
     # Two sections' errors are spread over the cells between them.
     bridge_std = usual_std * np.sqrt(2 / spacing)
     bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
-    depth, runout = _relative_depth(closed.r, grid)
     return _Case(
         grid,
         fields,
@@ -242,8 +229,7 @@ def _prepare(
         FirstSurface(
             np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
         ),
-        depth,
-        runout,
+        _relative_depth(closed.r, grid),
         prior.step_height(closed.r, np.full(start.shape, usual_std), grid) > 0,
         spacing,
         usual_std,
@@ -285,17 +271,13 @@ def _noise_std(photometry: Photometry, grid: CylinderGrid) -> float:
     return usual * max(1.0, curl_scale(photometry.slope, photometry.variance, grid))
 
 
-def _relative_depth(surface: np.ndarray, grid: CylinderGrid) -> tuple[np.ndarray, np.ndarray]:
-    """How deep a surface lies below the tread's outline, and its runout, mm: (n, m) each.
-
-    The depth is 0 on tops, 1 on groove floors.
-    """
+def _relative_depth(surface: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """How deep a surface lies below the tread's outline: 0 on tops, 1 on groove floors."""
     regions = tread.find_regions(surface, grid)
-    runout = regions.runout.radius(grid.theta, grid.z)
     if not np.isfinite(regions.depth_mm) or regions.depth_mm <= 0:
-        return np.zeros(surface.shape, np.float32), runout
-    depth = (regions.crown + runout - surface) / regions.depth_mm
-    return np.clip(np.nan_to_num(depth), 0, 1).astype(np.float32), runout
+        return np.zeros(surface.shape, np.float32)
+    depth = regions.crown + regions.runout.radius(grid.theta, grid.z) - surface
+    return np.clip(np.nan_to_num(depth / regions.depth_mm), 0, 1).astype(np.float32)
 
 
 def _cells(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:

@@ -1,14 +1,13 @@
 """Graduated robust integration: heights from slopes, laser points and the first surface."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
 
 from treadlight.integrate.edges import Edges
-from treadlight.integrate.laser import LaserCells, points_per_error
+from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.multigrid import Solver, System
-from treadlight.integrate.outline import Outline
 
 # Geman-McClure scale in standard deviations of a usual edge's noise: at the scale an edge has a
 # quarter of its weight, at one standard deviation 0.92 of it.
@@ -39,15 +38,12 @@ class Problem:
         First surface, mm (any number where `prior_weight` is 0).
     prior_weight : (n, m) float
         mm^-2.
-    outlines : tuple of Outline
-        No two of the same cells.
     """
 
     edges: Edges
     laser: LaserCells
     prior: np.ndarray
     prior_weight: np.ndarray
-    outlines: tuple[Outline, ...]
 
 
 @dataclass(frozen=True)
@@ -62,14 +58,11 @@ class Solution:
         What is left of each edge's weight: near 0 at a step.
     laser_share : (k,) float64
         The same of each laser point: near 0 for an outlier.
-    points_per_error : float
-        Laser points that share one error and count as one.
     """
 
     r: np.ndarray
     share: np.ndarray
     laser_share: np.ndarray
-    points_per_error: float
 
 
 def integrate(problem: Problem, start: np.ndarray, start_std: float, noise_std: float) -> Solution:
@@ -96,20 +89,18 @@ def integrate(problem: Problem, start: np.ndarray, start_std: float, noise_std: 
     scales = np.geomspace(max(final, _START_SIGMA * start_std), final, _STAGES)
     for stage, scale in enumerate(scales):
         last = stage == _STAGES - 1
-        weighted = _reweighted(problem, r, float(scale))
+        share, laser_share = _shares(problem, r, float(scale))
         iterations = _FINAL_ITERATIONS if last else _STAGE_ITERATIONS
-        r = linear_solve(problem, weighted, iterations)
-    return replace(weighted, r=r)
+        r = linear_solve(problem, r, share, laser_share, iterations)
+    return Solution(r, share, laser_share)
 
 
-def _reweighted(problem: Problem, r: np.ndarray, scale: float) -> Solution:
-    """The heights with the shares that they leave to everything."""
+def _shares(problem: Problem, r: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     edges, laser = problem.edges, problem.laser
     share = np.empty(edges.step.shape, np.float32)
     _edge_share(r, edges.step, edges.weight, edges.photometric, scale, (_SCALE / scale) ** 2, share)
     miss = (laser.value - r[laser.row, laser.column]) / laser.std
-    laser_share = 1 / np.sqrt(1 + (miss / _LASER_SCALE) ** 2)
-    return Solution(r, share, laser_share, points_per_error(laser, r))
+    return share, 1 / np.sqrt(1 + (miss / _LASER_SCALE) ** 2)
 
 
 @njit(cache=True, parallel=True)
@@ -137,29 +128,26 @@ def _edge_share(r, step, weight, photometric, scale, most, share):
                 share[k, i, j] = max(part, _LEAST_SHARE)
 
 
-def weighted_system(problem: Problem, weighted: Solution) -> System:
-    """The linear system under the shares of a solution."""
-    weight = problem.edges.weight.astype(np.float64) * weighted.share
+def weighted_system(
+    problem: Problem, share: np.ndarray, laser_share: np.ndarray
+) -> tuple[System, np.ndarray]:
+    """The linear system under given shares, and the laser's part of its diagonal."""
+    laser = problem.laser
+    weight = problem.edges.weight.astype(np.float64) * share
     data = problem.prior_weight.astype(np.float64)
-    for outline in problem.outlines:
-        data += outline.weight
-    np.add.at(data, (problem.laser.row, problem.laser.column), _laser_weight(problem, weighted))
-    return System(weight[0], weight[1], data)
+    pull = np.zeros_like(data)
+    np.add.at(pull, (laser.row, laser.column), laser_share / laser.std**2)
+    return System(weight[0], weight[1], data + pull), pull
 
 
-def _laser_weight(problem: Problem, weighted: Solution) -> np.ndarray:
-    return weighted.laser_share / (weighted.points_per_error * problem.laser.std**2)
-
-
-def linear_solve(problem: Problem, weighted: Solution, iterations: int) -> np.ndarray:
-    """Heights (n, m) that minimise the energy under a solution's shares, from its heights on."""
-    laser, r = problem.laser, weighted.r
-    system = weighted_system(problem, weighted)
-    residual = problem.prior_weight * (problem.prior - r)
-    for outline in problem.outlines:
-        residual += outline.weight * (outline.r - r)
-    miss = laser.value - r[laser.row, laser.column]
-    np.add.at(residual, (laser.row, laser.column), _laser_weight(problem, weighted) * miss)
+def linear_solve(
+    problem: Problem, r: np.ndarray, share: np.ndarray, laser_share: np.ndarray, iterations: int
+) -> np.ndarray:
+    """Heights (n, m) that minimise the energy under given shares, from r on."""
+    laser = problem.laser
+    system, pull = weighted_system(problem, share, laser_share)
+    residual = problem.prior_weight * (problem.prior - r) - pull * r
+    np.add.at(residual, (laser.row, laser.column), laser_share / laser.std**2 * laser.value)
     _add_edges(system.w_theta, system.w_z, problem.edges.step, r, residual)
     correction, _ = Solver(system).solve(residual, _TOLERANCE_MM, iterations)
     return r + correction
@@ -181,12 +169,22 @@ def _add_edges(w_theta, w_z, step, r, residual):
             residual[i, j] += value
 
 
-def perturbation(system: System, rng: np.random.Generator) -> np.ndarray:
+def perturbation(
+    problem: Problem, system: System, laser: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """A random right-hand side under the noise of all constraints: (n, m), mm^-1.
 
     Heights that answer to it have the covariance of the solution.
+
+    Parameters
+    ----------
+    problem : Problem
+    system : System
+    laser : (n, m) float
+        Variance of the laser's part, mm^-2.
+    rng : numpy.random.Generator
     """
-    noise = np.sqrt(system.data) * rng.standard_normal(system.data.shape)
+    noise = np.sqrt(problem.prior_weight + laser) * rng.standard_normal(laser.shape)
     jumps = [np.sqrt(w) * rng.standard_normal(w.shape) for w in (system.w_theta, system.w_z)]
     noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
     noise += np.roll(jumps[1], 1, axis=1) - jumps[1]
