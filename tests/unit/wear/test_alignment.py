@@ -99,3 +99,17 @@ def test_without_grooves_the_pattern_still_gives_rotation_and_axial_shift(
 def test_identity_is_certain():
     assert not Alignment.identity().covariance.any()
     assert Alignment.identity().reason is None
+
+
+def test_wild_coarse_cells_do_not_hide_a_match(tire, make_grid, make_remount):
+    """At 0.85 mm a cell is wider than the finest smoothing: single ones are no other pattern."""
+
+    def spoil(r, rng):
+        r[rng.random(r.shape) < 0.25] -= 4.0
+
+    grid = make_grid("whole", 0.85)
+    motion = make_remount(1.1)
+    first = relief(tire, grid, spoil=spoil)
+    found = align(first, relief(tire, grid, motion, uneven, seed=1, spoil=spoil))
+    assert found.reason is None
+    assert abs(found.motion.values[0] - motion.values[0]) < np.deg2rad(0.05)

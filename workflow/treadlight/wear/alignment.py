@@ -87,11 +87,14 @@ def align(first: Relief, current: Relief) -> Alignment:
     if not candidates:
         return Alignment.failed("The tread patterns show nothing that fixes the rotation.")
     floors = _Floors(first, current)
-    level = _Edges(first, current.grid, pair, *_LEVELS[0])
+    # Below a cell's size there is noise only.
+    cell_mm = max(first.grid.step_z, current.grid.step_z)
+    levels = [(max(sigma_mm, cell_mm), most) for sigma_mm, most in _LEVELS]
+    level = _Edges(first, current.grid, pair, *levels[0])
     # The first level picks the candidate; the others are costly and would not change it.
     fits = [_refine(_start(c), level, floors, _FIRST_ITERATIONS) for c in candidates]
     fit = max(fits, key=lambda f: level.correlation(f.motion))
-    for sigma_mm, most in _LEVELS[1:]:
+    for sigma_mm, most in levels[1:]:
         level = _Edges(first, current.grid, pair, sigma_mm, most)
         fit = _refine(fit.motion, level, floors, _ITERATIONS)
     motion = fit.motion.normalised()
