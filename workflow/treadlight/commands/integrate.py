@@ -82,7 +82,8 @@ def integrate_products(
         else:
             usable.append(view)
     sections = integrate.LaserSections(
-        *(laser[name].values for name in ("r", "theta", "z", "r_std", "encoder"))
+        *(laser[name].values for name in ("r", "theta", "z", "r_std", "encoder")),
+        float(laser.attrs["shared_rows"]),
     )
     if not np.isfinite(sections.r).any():
         warnings.append(

@@ -1,4 +1,4 @@
-"""Surface normals of one field of view by specular photometric stereo (algorithm 4).
+"""Surface normals of one field of view by specular photometric stereo.
 
 Each pixel's scene point is where its viewing ray meets the current surface; light and view
 vectors, irradiance and cast shadows follow from it. Writes normals, k_d, k_s, alpha, residual,
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             part_of(grid, rows),
             part["r"].to_numpy(),
             part["r_std"].to_numpy(),
-            settings.max_refinements,
+            settings,
         )
         store.write_store(out, _dataset(found), title=title, source=capture.id)
 

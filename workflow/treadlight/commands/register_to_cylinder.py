@@ -100,10 +100,11 @@ def register(
     )
     line_mm = points.attrs.get("line_sigma_px", _LINE_SIGMA_PX) * pixel
     surface = cylinder.lay_surface(sections, views, grid, line_mm)
-    return _laser_dataset(points, sections), _surface_dataset(surface, grid, capture)
+    shared = cylinder.shared_rows(sections, line_mm)
+    return _laser_dataset(points, sections, shared), _surface_dataset(surface, grid, capture)
 
 
-def _laser_dataset(points: "xr.Dataset", sections: "Sections") -> "xr.Dataset":
+def _laser_dataset(points: "xr.Dataset", sections: "Sections", shared: float) -> "xr.Dataset":
     import numpy as np
     import xarray as xr
 
@@ -135,7 +136,7 @@ def _laser_dataset(points: "xr.Dataset", sections: "Sections") -> "xr.Dataset":
             dims, sections.quality, "1", "what is known of the point", **flag_attrs(FLAGS)
         ),
     }
-    return xr.Dataset(variables, attrs={"closure_mm": closure_mm(sections)})
+    return xr.Dataset(variables, attrs={"closure_mm": closure_mm(sections), "shared_rows": shared})
 
 
 def _surface_dataset(surface: "Surface", grid: "CylinderGrid", capture: "Capture") -> "xr.Dataset":

@@ -3,6 +3,7 @@
 from treadlight.cylinder.extent import Extent, choose_grid, pixel_size_mm, view_extent
 from treadlight.cylinder.registration import FLAGS, Sections, closure_mm, register_sections
 from treadlight.cylinder.settings import CylinderSettings
+from treadlight.cylinder.smoothing import shared_rows
 from treadlight.cylinder.surface import (
     SURFACE_FLAGS,
     Surface,
@@ -25,5 +26,6 @@ __all__ = [
     "nominal_surface",
     "pixel_size_mm",
     "register_sections",
+    "shared_rows",
     "view_extent",
 ]

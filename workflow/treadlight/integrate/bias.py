@@ -5,6 +5,8 @@ alike: over the gap between two sections a degree adds up to a fifth of a millim
 averages out. The sections say how large it is.
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from scipy import ndimage
 
@@ -30,6 +32,80 @@ _LEAST_GOOD = 0.5
 _Z_LAGS = (0.5, 1 / 6)
 
 
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of laser points in one view, along one axis of the grid.
+
+    Attributes
+    ----------
+    axis : int
+        0: neighbouring sections at one z; 1: places of one section.
+    start, end : (k,) int
+        Indices of the points.
+    middle : (row, column), (k,) int each
+        The place halfway, row in the view.
+    rise : (k,) float
+        The laser's height difference, mm.
+    excess : (k,) float
+        The same less the integral of the slopes between the points, mm.
+    length : (k,) float
+        mm.
+    noise : (k,) float
+        Variance of `rise`, mm2.
+    """
+
+    axis: int
+    start: np.ndarray
+    end: np.ndarray
+    middle: tuple[np.ndarray, np.ndarray]
+    rise: np.ndarray
+    excess: np.ndarray
+    length: np.ndarray
+    noise: np.ndarray
+
+
+def laser_pairs(
+    field: ViewField, laser: LaserCells, steps: np.ndarray, spacing: float, grid: CylinderGrid
+) -> list[Pairs]:
+    """Laser points that the slopes of a view connect, along theta and along z.
+
+    Parameters
+    ----------
+    field : ViewField
+        k rows.
+    laser : LaserCells
+    steps : (n, m) bool
+        Where the first surface has a step: no path may cross it.
+    spacing : float
+        Distance of sections, cells along theta.
+    grid : CylinderGrid
+    """
+    n = grid.shape[0]
+    local = (laser.row - field.rows[0]) % n if grid.periodic else laser.row - field.rows[0]
+    inside = np.flatnonzero((local >= 0) & (local < len(field.rows)))
+    own, row = laser.select(inside), local[inside]
+    paths = _Paths(field, steps[field.rows], grid)
+    found = []
+    for axis, (a, b) in enumerate([_theta_pairs(row, own, spacing), _z_pairs(row, own, spacing)]):
+        excess, length = paths.excess(a, b, row, own, axis)
+        known = np.isfinite(excess)
+        a, b = a[known], b[known]
+        middle = (row[a] + row[b]) // 2, (own.column[a] + own.column[b]) // 2
+        found.append(
+            Pairs(
+                axis,
+                inside[a],
+                inside[b],
+                middle,
+                own.value[b] - own.value[a],
+                excess[known],
+                length[known],
+                own.std[a] ** 2 + own.std[b] ** 2,
+            )
+        )
+    return found
+
+
 def remove_bias(
     field: ViewField,
     laser: LaserCells,
@@ -38,7 +114,7 @@ def remove_bias(
     spacing: float,
     grid: CylinderGrid,
 ) -> ViewField:
-    """The view's slopes less their smooth bias, their variance with what is left of it.
+    """The view's slopes less their smooth bias.
 
     Slopes stay as they are where too few laser points tell of them.
 
@@ -61,29 +137,30 @@ def remove_bias(
         Distance of sections, cells along theta.
     grid : CylinderGrid
     """
-    n = grid.shape[0]
-    local = (laser.row - field.rows[0]) % n if grid.periodic else laser.row - field.rows[0]
-    inside = (local >= 0) & (local < len(field.rows))
-    laser, local = laser.select(inside), local[inside]
-    paths = _Paths(field, steps[field.rows], grid)
-    slope, variance = field.slope.copy(), field.variance.copy()
+    slope = field.slope.copy()
     rows, columns = np.arange(len(field.rows))[:, None], np.arange(grid.shape[1])[None]
-    for k, (a, b) in enumerate(
-        [_theta_pairs(local, laser, spacing), _z_pairs(local, laser, spacing)]
-    ):
-        excess, length = paths.excess(a, b, local, laser, k)
-        known = np.isfinite(excess)
-        if known.sum() < _LEAST_PAIRS:
+    for pairs in laser_pairs(field, laser, steps, spacing, grid):
+        if len(pairs.excess) < _LEAST_PAIRS:
             continue
-        a, b, excess, length = a[known], b[known], excess[known], length[known]
-        middle = (local[a] + local[b]) // 2, (laser.column[a] + laser.column[b]) // 2
-        coefficients, degree, grooves = _best_fit(middle, field, depth, excess / length, length, k)
-        slope[k] += _evaluate(coefficients, rows, columns, degree, grooves, field, depth)
-        fitted = _evaluate(coefficients, *middle, degree, grooves, field, depth)
-        miss = excess - fitted * length
-        noise = laser.std[a] ** 2 + laser.std[b] ** 2
-        variance[k] += np.float32(_path_variance(miss, noise, length, paths.spacing[k]))
-    return ViewField(field.rows, slope, variance, field.material, field.flags, field.blend)
+        fit = _best_fit(
+            pairs.middle, field, depth, pairs.excess / pairs.length, pairs.length, pairs.axis
+        )
+        slope[pairs.axis] += _evaluate(fit[0], rows, columns, *fit[1:], field, depth)
+    return replace(field, slope=slope)
+
+
+def with_path_variance(
+    field: ViewField, laser: LaserCells, steps: np.ndarray, spacing: float, grid: CylinderGrid
+) -> ViewField:
+    """The view with the variance that its slopes' integrals ask for; see `laser_pairs`."""
+    variance = field.variance.copy()
+    sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
+    for pairs in laser_pairs(field, laser, steps, spacing, grid):
+        if len(pairs.excess) >= _LEAST_PAIRS:
+            variance[pairs.axis] += np.float32(
+                _path_variance(pairs.excess, pairs.noise, pairs.length, sides[pairs.axis])
+            )
+    return replace(field, variance=variance)
 
 
 def _best_fit(

@@ -88,7 +88,8 @@ def build_edges(
     slope: np.ndarray,
     variance: np.ndarray,
     surface: np.ndarray,
-    surface_edge_std: np.ndarray,
+    first_step: np.ndarray,
+    first_std: np.ndarray,
     grid: CylinderGrid,
 ) -> Edges:
     """Edges from slopes on the cells; from the first surface where a side has no slope.
@@ -101,23 +102,26 @@ def build_edges(
     ----------
     slope, variance : (2, n, m) float
     surface : (n, m) float
-        First surface, mm, NaN where unknown.
-    surface_edge_std : (n, m) float
-        Standard deviation of the first surface's difference between neighbours, mm.
+        Complete first surface, mm.
+    first_step, first_std : (2, n, m) float
+        Its differences to the next cell and their standard deviations, mm; NaN where unknown.
     grid : CylinderGrid
     """
     step = np.zeros(slope.shape, np.float32)
     weight = np.zeros(slope.shape, np.float32)
     photometric = np.zeros(slope.shape, bool)
-    _fill(slope[0], variance[0], surface, surface_edge_std, True, grid.periodic,
+    _fill(slope[0], variance[0], surface, first_step[0], first_std[0], True, grid.periodic,
           grid.step_theta, step[0], weight[0], photometric[0])  # fmt: skip
-    _fill(slope[1], variance[1], surface, surface_edge_std, False, False,
+    _fill(slope[1], variance[1], surface, first_step[1], first_std[1], False, False,
           grid.step_z, step[1], weight[1], photometric[1])  # fmt: skip
     return Edges(step, weight, photometric)
 
 
 @njit(cache=True, parallel=True)
-def _fill(slope, variance, surface, edge_std, along_theta, periodic, spacing, step, weight, known):
+def _fill(
+    slope, variance, surface, first_step, first_std, along_theta, periodic, spacing,
+    step, weight, known,
+):  # fmt: skip
     n, m = surface.shape
     for row in prange(n):
         i = np.int64(row)
@@ -134,16 +138,14 @@ def _fill(slope, variance, surface, edge_std, along_theta, periodic, spacing, st
             if along_theta:
                 length = spacing * 0.5 * (surface[i, j] + surface[a, b])
             mean = 0.5 * (slope[i, j] + slope[a, b])
-            if np.isfinite(mean) and np.isfinite(length):
+            if np.isfinite(mean):
                 step[i, j] = length * mean
                 spread = 0.5 * (variance[i, j] + variance[a, b])
                 weight[i, j] = 1 / (length * length * spread)
                 known[i, j] = True
-            else:
-                jump = surface[a, b] - surface[i, j]
-                if np.isfinite(jump):
-                    step[i, j] = jump
-                    weight[i, j] = 1 / (edge_std[i, j] * edge_std[a, b])
+            elif np.isfinite(first_step[i, j]):
+                step[i, j] = first_step[i, j]
+                weight[i, j] = 1 / first_std[i, j] ** 2
 
 
 def curl_scale(slope: np.ndarray, variance: np.ndarray, grid: CylinderGrid) -> float:

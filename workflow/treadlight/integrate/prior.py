@@ -1,14 +1,25 @@
 """What the first surface says where no light reaches, and how strongly."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import ndimage
 
+from treadlight import tread
 from treadlight.geometry import CylinderGrid
+from treadlight.integrate.edges import CHI2_MEDIAN
+from treadlight.integrate.laser import LaserCells
 
 # Half-width of the window in which a step of the first surface may really stand, cells.
 _STEP_WINDOW = 2
 # The surface's own noise looks like a step of up to this many standard deviations.
 _STEP_SIGMA = 4.0
+# The tread's drift shows over these shares of the sections' distance, where neighbouring points
+# of a section no longer share their noise.
+_DRIFT_LAGS = (0.25, 0.5, 0.75, 1.0)
+_LEAST_PAIRS = 100
+# Of a mean of squares taken from their median, against that of the mean: variance.
+_MEDIAN_COST = 2.7
 
 
 def complete(surface: np.ndarray) -> np.ndarray:
@@ -28,21 +39,115 @@ def complete(surface: np.ndarray) -> np.ndarray:
     return surface[tuple(nearest)].astype(np.float64)
 
 
-def edge_std(start: np.ndarray, std: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """Standard deviation of the first surface's difference between neighbouring cells, mm.
+@dataclass(frozen=True)
+class FirstEdges:
+    """Height differences to the next cell as the first surface has them; index as in `Edges`.
 
-    Beside a step, whose place between the sections is not known to the cell, it is half the
-    step's height.
+    Attributes
+    ----------
+    step, std : (2, n, m) float32
+        mm; NaN where the first surface knows nothing on either side.
+    """
+
+    step: np.ndarray
+    std: np.ndarray
+
+
+def first_edges(
+    start: np.ndarray,
+    std: np.ndarray,
+    bridged: np.ndarray,
+    outline: np.ndarray,
+    drift: float,
+    grid: CylinderGrid,
+) -> FirstEdges:
+    """Where no light reaches: the outline's slopes on tops and floors, the first surface's steps.
+
+    Between steps the first surface is the sections' noise and what lies between them: there the
+    tread follows its outline, from which it drifts like a random walk. At a step, whose place
+    between the sections is not known to the cell, the standard deviation is half the height of
+    the step.
 
     Parameters
     ----------
     start : (n, m) float
         Complete first surface, mm.
     std : (n, m) float
-        Its standard deviation, mm; NaN where the surface is unknown.
+        Its standard deviation, mm; NaN where it is unknown.
+    bridged : (n, m) bool
+        Cells whose `std` says all: interpolated across a cut.
+    outline : (n, m) float
+        mm.
+    drift : float
+        mm2 per mm.
     grid : CylinderGrid
     """
-    return np.hypot(np.nan_to_num(std, nan=0.0), 0.5 * step_height(start, std, grid))
+    height = step_height(start, std, grid)
+    cell_std = np.hypot(std, 0.5 * height)
+    calm = np.isfinite(std) & (height == 0) & ~bridged
+    step = np.empty((2, *start.shape), np.float32)
+    spread = np.empty_like(step)
+    for k, length in enumerate((grid.step_theta * grid.nominal_radius_mm, grid.step_z)):
+        smooth = calm & np.roll(calm, -1, axis=k)
+        for source, where in ((start, ~smooth), (outline, smooth)):
+            step[k][where] = (np.roll(source, -1, axis=k) - source)[where]
+        spread[k] = np.sqrt(cell_std * np.roll(cell_std, -1, axis=k))
+        spread[k][smooth] = np.sqrt(drift * length)
+    return FirstEdges(np.where(np.isfinite(spread), step, np.nan).astype(np.float32), spread)
+
+
+def outline(surface: np.ndarray, regions: tread.Regions, grid: CylinderGrid) -> np.ndarray:
+    """The surface of revolution that a complete surface (n, m) follows, with its runout, mm."""
+    runout = regions.runout.radius(grid.theta, grid.z)
+    return np.median(surface - runout, axis=0) + runout
+
+
+def drift_rate(
+    laser: LaserCells,
+    outline: np.ndarray,
+    regions: tread.Regions,
+    spacing: float,
+    grid: CylinderGrid,
+) -> float | None:
+    """How fast the tread strays from its outline: variance per length, mm2 per mm.
+
+    The variance of the difference of two points of a section grows with their distance, once
+    they no longer share their noise: by the drift and by slow errors of the laser, so that the
+    tread is never taken for smoother than it is. Robust against cuts. Never below what the
+    scatter of the variances would hide. None where too few points tell.
+
+    Parameters
+    ----------
+    laser : LaserCells
+    outline : (n, m) float
+        mm.
+    regions : tread.Regions
+    spacing : float
+        Distance of sections, cells along theta.
+    grid : CylinderGrid
+    """
+    if not len(laser.value):
+        return None
+    line = np.full((int(laser.section.max()) + 1, grid.shape[1]), np.nan)
+    line[laser.section, laser.column] = laser.value - outline[laser.row, laser.column]
+    # Ribs and floors, each with a number of its own; walls belong to neither.
+    part = np.where(regions.rib_of_column > 0, regions.rib_of_column, -regions.floor_of_column)
+    lags, variances, errors = [], [], []
+    for lag in sorted({max(1, round(share * spacing)) for share in _DRIFT_LAGS}):
+        same = (part[lag:] == part[:-lag]) & (part[lag:] != 0)
+        squares = (line[:, lag:] - line[:, :-lag])[:, same] ** 2
+        squares = squares[np.isfinite(squares)]
+        if len(squares) < _LEAST_PAIRS:
+            continue
+        variance = float(np.median(squares)) / CHI2_MEDIAN
+        lags.append(lag * grid.step_z)
+        variances.append(variance)
+        errors.append(variance * np.sqrt(2 * _MEDIAN_COST * lag / len(squares)))
+    if len(lags) < 2:
+        return None
+    away = np.array(lags) - np.mean(lags)
+    slope = float(away @ np.array(variances) / (away @ away))
+    return max(slope, float(np.sqrt((away**2) @ np.square(errors)) / (away @ away)))
 
 
 def step_height(start: np.ndarray, std: np.ndarray, grid: CylinderGrid) -> np.ndarray:

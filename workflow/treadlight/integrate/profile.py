@@ -9,7 +9,8 @@ from scipy import ndimage
 from treadlight import tread
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import prior
-from treadlight.integrate.bias import remove_bias
+from treadlight.integrate.bias import remove_bias, with_path_variance
+from treadlight.integrate.confirm import confirm
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
@@ -29,13 +30,18 @@ _CLEAR_CELLS = 3
 
 @dataclass(frozen=True)
 class LaserSections:
-    """Laser points (section, line): r mm, theta rad, z mm, r_std mm; encoder (section,) rad."""
+    """Laser points (section, line): r mm, theta rad, z mm, r_std mm; encoder (section,) rad.
+
+    `shared_rows` neighbouring lines share one error (speckle, smoothing): a mean over n of them is
+    known as well as one over n / shared_rows.
+    """
 
     r: np.ndarray
     theta: np.ndarray
     z: np.ndarray
     r_std: np.ndarray
     encoder: np.ndarray
+    shared_rows: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -147,12 +153,15 @@ class _Case:
     closed : ClosedTread
     first : FirstSurface
         Bridged across cuts.
+    first_edges : prior.FirstEdges
+    outline : (n, m) float64
+        mm; see `prior.outline`.
     depth : (n, m) float32
         See `_relative_depth`.
     walls : (n, m) bool
         Steps of the first surface.
-    spacing : float
-        Distance of sections, cells along theta.
+    spacing, shared_rows : float
+        Distance of sections, cells along theta; see `LaserSections`.
     usual_std, noise : float
         Standard deviation of the first surface, and of an edge from cell to cell.
     """
@@ -162,38 +171,41 @@ class _Case:
     laser: LaserCells
     closed: ClosedTread
     first: FirstSurface
+    first_edges: prior.FirstEdges
+    outline: np.ndarray
     depth: np.ndarray
     walls: np.ndarray
     spacing: float
+    shared_rows: float
     usual_std: float
     noise: float
 
     def solve(self, laser: LaserCells) -> tuple[Photometry, Problem, Solution]:
         """Heights from these laser points and the views, whose smooth bias they tell."""
-        fields = [
-            remove_bias(f, laser, self.depth, self.walls, self.spacing, self.grid)
-            for f in self.fields
-        ]
+        about = (self.walls, self.spacing, self.grid)
+        fields = [remove_bias(f, laser, self.depth, *about) for f in self.fields]
+        fields = confirm(fields, laser, self.outline, *about)
+        fields = [with_path_variance(f, laser, *about) for f in fields]
         photometry = merge_views(fields, self.grid)
         problem = self.problem(photometry, laser)
         return photometry, problem, integrate(problem, self.closed.r, self.usual_std, self.noise)
 
     def problem(self, photometry: Photometry, laser: LaserCells) -> Problem:
-        start, first = self.closed.r, self.first
-        std = prior.edge_std(start, first.r_std, self.grid)
-        known = np.isfinite(first.r) & (std > 0)
+        start = self.closed.r
         edges = build_edges(
-            photometry.slope, photometry.variance, np.where(known, start, np.nan), std, self.grid
+            photometry.slope,
+            photometry.variance,
+            start,
+            self.first_edges.step,
+            self.first_edges.std,
+            self.grid,
         )
-        # A cell of the first surface is interpolated between sections: together, as many cells as
-        # lie between two sections count as one observation. Where there is light only the level
-        # of what all edges are cut around needs it: within the height of the tread.
+        # Only the level of what all edges are cut around, and no laser point is in, needs the
+        # first surface: within the height of the tread.
         low, high = np.percentile(start, [1, 99])
         level = 1 / max(high - low, 1.0) ** 2
-        dark = known & ~np.isfinite(photometry.slope[0]) & ~self.closed.reach
-        weight = np.where(dark, 1 / np.where(dark, std**2, 1) / self.spacing, 0)
-        weight = np.where(known, np.maximum(weight, level), 0)
-        return Problem(edges, laser, start, weight)
+        laser = replace(laser, std=laser.std * np.sqrt(self.shared_rows))
+        return Problem(edges, laser, start, np.where(np.isfinite(self.first.r), level, 0))
 
 
 def _prepare(
@@ -215,23 +227,38 @@ def _prepare(
         grid,
     )
     closed = close_cuts(
-        fields, start, usual_std, laser, lambda r: _relative_depth(r, grid), spacing, grid
+        fields,
+        start,
+        usual_std,
+        laser,
+        lambda r: _relative_depth(r, tread.find_regions(r, grid), grid),
+        spacing,
+        grid,
     )
     fields = [_outside(f, closed.reach) for f in fields]
     # Two sections' errors are spread over the cells between them.
     bridge_std = usual_std * np.sqrt(2 / spacing)
     bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
+    first = FirstSurface(
+        np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
+    )
+    regions = tread.find_regions(closed.r, grid)
+    outline = prior.outline(closed.r, regions, grid)
+    drift = prior.drift_rate(laser.select(closed.on_tread), outline, regions, spacing, grid)
+    if drift is None:
+        drift = bridge_std**2 / grid.step_z
     return _Case(
         grid,
         fields,
         laser,
         closed,
-        FirstSurface(
-            np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
-        ),
-        _relative_depth(closed.r, grid),
+        first,
+        prior.first_edges(closed.r, first.r_std, closed.reach, outline, drift, grid),
+        outline,
+        _relative_depth(closed.r, regions, grid),
         prior.step_height(closed.r, np.full(start.shape, usual_std), grid) > 0,
         spacing,
+        sections.shared_rows,
         usual_std,
         _noise_std(merge_views(fields, grid), grid),
     )
@@ -271,9 +298,8 @@ def _noise_std(photometry: Photometry, grid: CylinderGrid) -> float:
     return usual * max(1.0, curl_scale(photometry.slope, photometry.variance, grid))
 
 
-def _relative_depth(surface: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+def _relative_depth(surface: np.ndarray, regions: tread.Regions, grid: CylinderGrid) -> np.ndarray:
     """How deep a surface lies below the tread's outline: 0 on tops, 1 on groove floors."""
-    regions = tread.find_regions(surface, grid)
     if not np.isfinite(regions.depth_mm) or regions.depth_mm <= 0:
         return np.zeros(surface.shape, np.float32)
     depth = regions.crown + regions.runout.radius(grid.theta, grid.z) - surface

@@ -23,6 +23,9 @@ _POOR_SHARE = 0.35
 # Mean of (slope's deviation / its usual deviation)^2, both slopes, over nine cells: 2 on a smooth
 # tread, where it exceeds this in one cell of a hundred.
 _TILTED = 5.0
+# Over 4 standard deviations in both slopes of nine cells: never noise. What is tilted and nowhere
+# as much as this, and fits the model, is relief that photometry measures.
+_SURELY_TILTED = 40.0
 _MOST_TILTED = 100.0
 # Steeper cells are walls of something, not tread with a deviation.
 _WALL_SLOPE = 0.35
@@ -121,8 +124,8 @@ def close_cuts(
         Distance of sections, cells along theta.
     grid : CylinderGrid
     """
-    poor, tilted = _breaks(fields, spacing, grid)
-    broken = _patches(poor | tilted, grid)
+    poor, cut = _breaks(fields, spacing, grid)
+    broken = _patches(cut, grid)
     count = len(laser.value)
     sections = _completed(laser, start, std)
     off = _off_tread(sections, broken, std, grid)
@@ -171,7 +174,11 @@ def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
 def _breaks(
     fields: Sequence[ViewField], spacing: float, grid: CylinderGrid
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cells whose pixels do not fit the model, and cells tilted against their surroundings."""
+    """Cells of cuts whose pixels do not fit the model, and all cells of cuts: tilted ones too.
+
+    Thresholds with hysteresis (Canny 1986): a patch of tilted cells counts if it is surely
+    tilted somewhere, or does not fit.
+    """
     poor, tilted = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
     seen = np.zeros((grid.shape[0], 1), np.float32)
     window = 2 * round(spacing / 4) + 1
@@ -184,7 +191,13 @@ def _breaks(
     poor, tilted = (
         ndimage.uniform_filter(total / seen, 3, mode=_mode(grid)) for total in (poor, tilted)
     )
-    return poor > _POOR_SHARE, tilted > _TILTED
+    poor = poor > _POOR_SHARE
+    broken = _patches(poor | (tilted > _TILTED), grid)
+    sure = np.zeros(broken.count + 1, bool)
+    sure[broken.label[poor | (tilted > _SURELY_TILTED)]] = True
+    sure[0] = False
+    cut = sure[broken.label]
+    return poor & cut, cut
 
 
 def _tilt(slope: np.ndarray, window: int) -> np.ndarray:

@@ -20,10 +20,6 @@ _SEED = 20170617
 _LEAST_VARIANCE = 1e-12
 # Held-out points further off than this many of their spreads are outliers.
 _OUTLIER = 5.0
-# Autocorrelations count up to the first below this.
-_LEAST_CORRELATION = 0.05
-_MAX_LAG = 64
-_CLIP = 3.0
 _FACTOR_RANGE = (0.3, 10.0)
 _LEAST_POINTS = 30
 _ONE_SIGMA = 0.6827
@@ -33,16 +29,14 @@ def sampled_std(problem: Problem, solution: Solution, grid: CylinderGrid) -> np.
     """Standard deviation of the heights under the noise of all constraints, (n, m) mm.
 
     The diagonal of the inverse matrix, from heights that answer to random right-hand sides with
-    the constraints' covariance (a fixed seed), averaged over a few cells to steady it. Points
-    whose errors go together count as fewer.
+    the constraints' covariance (a fixed seed), averaged over a few cells to steady it.
     """
     rng = np.random.default_rng(_SEED)
     system, pull = weighted_system(problem, solution.share, solution.laser_share)
-    laser = points_per_error(problem.laser, solution.r) * pull
     solver = Solver(system)
     total = np.zeros(grid.shape)
     for _ in range(_SAMPLES):
-        noise = perturbation(problem, system, laser, rng)
+        noise = perturbation(problem, system, pull, rng)
         total += solver.solve(noise, _TOLERANCE_MM, _MAX_ITERATIONS)[0] ** 2
     mode = ("wrap" if grid.periodic else "nearest", "nearest")
     # Logarithms are averaged, so that a wall's uncertainty does not spread over what it flanks;
@@ -50,32 +44,6 @@ def sampled_std(problem: Problem, solution: Solution, grid: CylinderGrid) -> np.
     bias = digamma(_SAMPLES / 2) - np.log(_SAMPLES / 2)
     logarithm = np.log(np.maximum(total / _SAMPLES, _LEAST_VARIANCE))
     return np.exp(0.5 * (ndimage.gaussian_filter(logarithm, _SMOOTHING_CELLS, mode=mode) - bias))
-
-
-def points_per_error(laser: LaserCells, r: np.ndarray) -> float:
-    """How many neighbouring points of a section share one error: 1 + 2 sum of autocorrelations.
-
-    Speckle and the detection's smoothing make the errors of neighbours alike, so that a mean
-    over n points is known as well as one over n / this (Bartlett 1946).
-    """
-    miss = laser.value - r[laser.row, laser.column]
-    spread = 1.4826 * float(np.median(np.abs(miss))) if len(miss) else 0.0
-    if spread == 0:
-        return 1.0
-    line = np.full((int(laser.section.max()) + 1, r.shape[1]), np.nan)
-    usual = np.abs(miss) < _CLIP * spread
-    line[laser.section[usual], laser.column[usual]] = miss[usual]
-    power = np.nanmean(line**2)
-    total = 1.0
-    for lag in range(1, min(_MAX_LAG, line.shape[1])):
-        products = line[:, lag:] * line[:, :-lag]
-        if not np.isfinite(products).any():
-            break
-        correlation = float(np.nanmean(products) / power)
-        if correlation < _LEAST_CORRELATION:
-            break
-        total += 2 * correlation
-    return total
 
 
 @dataclass(frozen=True)

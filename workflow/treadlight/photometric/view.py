@@ -1,8 +1,9 @@
 """Normals of one field of view: scene points, shadows, light, and specular photometric stereo."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,8 @@ from treadlight.geometry import Axis, Camera, CylinderGrid, Led
 from treadlight.geometry.axis import wrap_angle
 from treadlight.photometric import scene
 from treadlight.photometric.closure import covariance_scale
+from treadlight.photometric.map import map_normals
+from treadlight.photometric.material import learn_material
 from treadlight.photometric.observations import (
     OUTSIDE,
     POOR_FIT,
@@ -19,7 +22,8 @@ from treadlight.photometric.observations import (
     Estimate,
     Observations,
 )
-from treadlight.photometric.sps import DISSERTATION_MISFIT, sps, typical_misfit
+from treadlight.photometric.settings import PhotometrySettings
+from treadlight.photometric.sps import sps, typical_misfit
 
 # Pixels per chunk: keeps 16 LEDs' vectors and masks below 32 MiB.
 _CHUNK_PX = 1 << 16
@@ -98,7 +102,11 @@ class ViewNormals:
 
 
 def solve_view(
-    view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray, max_refinements: int
+    view: View,
+    grid: CylinderGrid,
+    r: np.ndarray,
+    r_std: np.ndarray,
+    settings: PhotometrySettings,
 ) -> ViewNormals:
     """Specular photometric stereo at every pixel of a view.
 
@@ -108,8 +116,7 @@ def solve_view(
     grid : CylinderGrid
     r, r_std : (n_theta, n_z) float
         The current surface and its standard uncertainty, mm; NaN where unknown.
-    max_refinements : int
-        See `sps`.
+    settings : PhotometrySettings
 
     Returns
     -------
@@ -121,19 +128,27 @@ def solve_view(
     total = height * width
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
     observed, _, _ = _observe(view, patch, obstacles, sample)
-    misfit = DISSERTATION_MISFIT
-    if observed.intensity.shape[1]:
-        misfit = typical_misfit(observed, max_refinements=max_refinements)
+    estimator = _estimator(observed, settings)
     maps = _empty_maps(total)
     for pixels in _chunks(total):
         observed, points, quality = _observe(view, patch, obstacles, pixels)
-        estimate = sps(observed, max_refinements=max_refinements, misfit=misfit)
-        _place(maps, pixels, estimate, points, quality, view.encoder)
+        _place(maps, pixels, estimator(observed), points, quality, view.encoder)
     poor = _is_poor(maps.residual)
     maps.quality[poor] |= POOR_FIT
     found = _reshaped(maps, height, width)
     scale = covariance_scale(found.normal, found.normal_cov, found.theta, found.z, found.r)
     return replace(found, normal_cov=found.normal_cov * np.float32(scale**2))
+
+
+def _estimator(
+    sample: Observations, settings: PhotometrySettings
+) -> Callable[[Observations], Estimate]:
+    """The method, with what it learns from a sample of the view."""
+    if settings.method == "map":
+        return partial(map_normals, material=learn_material(sample))
+    refinements = settings.max_refinements
+    misfit = typical_misfit(sample, max_refinements=refinements)
+    return partial(sps, max_refinements=refinements, misfit=misfit)
 
 
 def _chunks(total: int) -> Iterator[np.ndarray]:
