@@ -1,4 +1,4 @@
-"""Algorithm 4 of the dissertation, pixel by pixel, compiled.
+"""Algorithms 2 to 4 of the dissertation, pixel by pixel, compiled.
 
 One pixel's LEDs lie side by side in short rows of a scratch array, padded to whole vectors, so
 that the inner loops run over a fixed number of lanes and the compiler vectorises them. With
@@ -58,12 +58,12 @@ def _exp2(x):
 
 
 @njit(cache=True, fastmath=_FAST)
-def _weigh(a, scale):
-    """Weights I_s / scale (eq. 5.21) and their logarithms, in rows W and X."""
+def _weigh(a, scale, by_intensity):
+    """Logarithms of I_s / scale in row X; in W that itself (eq. 5.21) or, of what is lit, 1."""
     for m in range(a.shape[1]):
         w = a[W, m] * scale
-        a[W, m] = w
         a[X, m] = max(np.float32(math.log2(max(w, np.float32(1e-12)))), _DARKEST)
+        a[W, m] = w if by_intensity else np.float32(w > 0)
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -255,12 +255,12 @@ def _subtract(a, k_d):
 
 
 @njit(cache=True)
-def _pass(a, chol, n, grid, s, k_d, view):
-    """Algorithm 3 on what k_d leaves; returns s, or 0 where there is no normal to find."""
+def _pass(a, chol, n, grid, s, k_d, view, by_intensity):
+    """Algorithm 2 or 3 on what k_d leaves; returns s, or 0 where there is no normal to find."""
     largest, count = _subtract(a, k_d)
     if count < 4 or not largest > 0:
         return np.float32(0.0)
-    _weigh(a, np.float32(1.0) / largest)
+    _weigh(a, np.float32(1.0) / largest, by_intensity)
     if not _factorise(a, chol):
         return np.float32(0.0)
     s = _follow(a, s, grid) if s > 0 else _best_exponent(a, grid)
@@ -269,6 +269,35 @@ def _pass(a, chol, n, grid, s, k_d, view):
         return np.float32(0.0)
     n[3], n[4] = length, largest
     return s
+
+
+@njit(cache=True)
+def _fit_gloss(a, chol, n, grid, by_intensity, view, out):
+    """Algorithm 2 or 3 at one pixel: all light is gloss; False where it finds no normal."""
+    # Every usable LED counts until there is a normal for it to be behind of.
+    for m in range(a.shape[1]):
+        a[NL, m] = 1.0
+    s = _pass(a, chol, n, grid, np.float32(0.0), 0.0, view, by_intensity)
+    if not s > 0:
+        return False
+    _publish(a, n, s, out)
+    out[KD] = 0.0
+    return True
+
+
+@njit(cache=True)
+def _publish(a, n, s, out):
+    out[NX], out[NY], out[NZ] = n[0], n[1], n[2]
+    out[ALPHA], out[KS] = _lobe(n, s)
+    _cosines(a, n)
+
+
+@njit(cache=True)
+def _lobe(n, s):
+    """alpha and k_s of a pass (eq. 5.25)."""
+    alpha = 1.0 / np.float64(s)
+    # A highlight that no LED shows leaves the peak's height to extrapolation.
+    return alpha, n[4] * math.exp2(min(alpha * math.log2(n[3]), 100.0))
 
 
 @njit(cache=True)
@@ -285,20 +314,18 @@ def _fit(a, chol, n, grid, refinements, cos_converged, view, out):
     px = py = pz = 0.0
     for refinement in range(refinements + 1):
         last_s, last_put = s, put_before
-        s = _pass(a, chol, n, grid, s, put, view)
+        s = _pass(a, chol, n, grid, s, put, view, True)
         if not s > 0:
             if not refinement > 0:
                 return False
             # The normal of the last pass stands in px, py, pz: its LEDs, its weights again.
             n[0], n[1], n[2] = px, py, pz
             _cosines(a, n)
-            s = _pass(a, chol, n, grid, last_s, last_put, view)
+            s = _pass(a, chol, n, grid, last_s, last_put, view, True)
             if not s > 0:
                 return False
             break
-        alpha = 1.0 / np.float64(s)
-        # A highlight that no LED shows leaves the peak's height to extrapolation.
-        k_s = n[4] * math.exp2(min(alpha * math.log2(n[3]), 100.0))
+        alpha, k_s = _lobe(n, s)
         _cosines(a, n)
         found = _diffuse(a, k_s, alpha)
         # A pixel among symmetric LEDs knows its normal long before it knows k_d.
@@ -307,10 +334,7 @@ def _fit(a, chol, n, grid, refinements, cos_converged, view, out):
             break
         px, py, pz = n[0], n[1], n[2]
         put_before, put = put, found
-    out[NX], out[NY], out[NZ] = n[0], n[1], n[2]
-    out[ALPHA] = 1.0 / np.float64(s)
-    out[KS] = n[4] * math.exp2(min(out[ALPHA] * math.log2(n[3]), 100.0))
-    _cosines(a, n)
+    _publish(a, n, s, out)
     out[KD] = _diffuse(a, out[KS], out[ALPHA])
     return True
 
@@ -368,13 +392,13 @@ def _covariance(a, n, misfit2, prior_weight, mat, gain, out):
                     mat[i, j] += gain[m, i] * gain[m, j]
     if not searched:
         mat[3, 3] = 1.0
-    _invert(mat)
+    invert(mat)
     through = np.zeros(3)
     for m in range(a.shape[1]):
         if not a[W, m] > 0:
             gain[m, :] = 0.0
             continue
-        y = s * math.exp2(np.float64(a[X, m]) * s) / (largest * length)
+        y = s * a[W, m] * math.exp2(np.float64(a[X, m]) * (s - 1.0)) / (largest * length)
         g0, g1, g2, g3 = gain[m, 0], gain[m, 1], gain[m, 2], gain[m, 3]
         for i in range(3):
             gain[m, i] = y * (mat[i, 0] * g0 + mat[i, 1] * g1 + mat[i, 2] * g2 + mat[i, 3] * g3)
@@ -405,7 +429,7 @@ def _jacobian(a, m, s, searched, row):
 
 
 @njit(cache=True)
-def _invert(mat):
+def invert(mat):
     """Invert a symmetric positive matrix in place; what is not determined gets a huge variance."""
     size = mat.shape[0]
     for k in range(size):
@@ -422,7 +446,7 @@ def _invert(mat):
 
 
 @njit(cache=True)
-def _gather(a, k, intensity, lights, views, usable, noise):
+def gather(a, k, intensity, lights, views, usable, noise):
     """One pixel's LEDs side by side; returns how many are usable."""
     count = 0
     a[:] = 0.0
@@ -443,15 +467,17 @@ def _gather(a, k, intensity, lights, views, usable, noise):
 
 @njit(cache=True, parallel=True)
 def fit_pixels(
-    intensity, lights, views, usable, noise, refinements, cos_converged, misfit2, prior_weight, out
-):
-    """Algorithm 4 at every pixel.
+    intensity, lights, views, usable, noise,
+    algorithm, refinements, cos_converged, misfit2, prior_weight, out,
+):  # fmt: skip
+    """Algorithm 2, 3 or 4 at every pixel.
 
     Parameters
     ----------
     intensity, lights, views, usable, noise : as in `Observations`
+    algorithm : int
     refinements : int
-        Passes through steps 2 to 5 after the first, at most.
+        Of algorithm 4: passes through steps 2 to 5 after the first, at most.
     cos_converged : float
         Of the angle between two passes' normals below which no other is made.
     misfit2, prior_weight : float
@@ -472,10 +498,14 @@ def fit_pixels(
         normal = np.zeros(5)
         for k in range(block * _BLOCK, min(n, (block + 1) * _BLOCK)):
             out[k, :] = np.nan
-            count = _gather(a, k, intensity, lights, views, usable, noise)
+            count = gather(a, k, intensity, lights, views, usable, noise)
             out[k, LEDS] = count
             if count < 4:
                 continue
-            if _fit(a, chol, normal, grid, refinements, cos_converged, views[k], out[k]):
+            if algorithm == 4:
+                found = _fit(a, chol, normal, grid, refinements, cos_converged, views[k], out[k])
+            else:
+                found = _fit_gloss(a, chol, normal, grid, algorithm == 3, views[k], out[k])
+            if found:
                 _rerender(a, out[k])
                 _covariance(a, normal, misfit2, prior_weight, mat, gain, out[k])
