@@ -17,7 +17,9 @@ _START_ALPHA = 10.0
 _STEPS = 200
 # Relative fall of the cost below which a step is the last one.
 _STILL = 1e-12
-_LAMBDA, _EASE, _HARDEN, _HOPELESS = 1e-3, 0.3, 5.0, 1e12
+# All unknowns are of order one, so damping is by the identity (Levenberg's, not Marquardt's
+# diagonal): where the gloss shows little, long first steps would end at the bounds.
+_LAMBDA, _EASE, _HARDEN, _HOPELESS = 0.1, 0.3, 5.0, 1e12
 _BLOCK = 128
 # Unknowns.
 _TILT_1, _TILT_2, _LOG_ALPHA, _KD, _KS, UNKNOWNS = range(6)
@@ -153,7 +155,7 @@ def _fit(table, count, n, x, frame, matrix, gradient):
             _freeze(x, gradient, matrix)
         damped[:] = matrix
         for i in range(UNKNOWNS):
-            damped[i, i] += damping * max(matrix[i, i], 1e-9)
+            damped[i, i] += damping
         invert(damped)
         _step(n, x, frame, damped @ gradient, n_new, x_new)
         trial = _cost(table, count, n_new, x_new)
