@@ -67,11 +67,12 @@ def rendered(
     """
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     intensity = hemisphere.tiles(picture)[:, inside]
-    off = hemisphere.departure(intensity, hemisphere.blinn_phong(truth, light, ratio, alpha))
-    if off.largest > 1 or abs(off.mean) > 0.1:
+    formula = hemisphere.blinn_phong(truth, light, ratio, alpha)
+    largest, mean = hemisphere.departure(intensity, formula)
+    if largest > 1 or abs(mean) > 0.1:
         raise ValueError(
-            f"{path} is up to {off.largest:.1f}, on average {off.mean:.2f} steps of 16 bits from"
-            " eq. 5.1; rounding alone gives 0.5 and 0."
+            f"{path} is up to {largest:.1f}, on average {mean:.2f} steps of 16 bits from eq. 5.1;"
+            " rounding alone gives 0.5 and 0."
         )
     return intensity
 
