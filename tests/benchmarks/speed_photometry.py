@@ -74,7 +74,8 @@ def first(observations: Observations, count: int) -> Observations:
 def plain_algorithm_4(intensity, lights, views, refinements, trials, out):
     """The dissertation's steps pixel by pixel in double precision, as one would write them down."""
     for k in prange(intensity.shape[1]):
-        out[k] = plain_pixel(intensity[:, k], lights[:, k], views[k], refinements, trials)
+        light, towards = intensity[:, k].copy(), lights[:, k].copy()
+        out[k] = plain_pixel(light, towards, views[k], refinements, trials)
 
 
 @njit

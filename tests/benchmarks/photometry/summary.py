@@ -48,13 +48,18 @@ def main() -> None:
     checks = [*study_checks(tables), *shared_checks(shared)]
     lines += ["", "## Asked", "", "| what | limit | found | |", "| --- | --- | --- | --- |"]
     lines += [
-        f"| {c['what']} | {c['limit']} | {c['found']} | {verdict(c['pass'])} |" for c in checks
+        f"| {c['what']} | {c['limit']} | {told(c['found'])} | {verdict(c['pass'])} |"
+        for c in checks
     ]
     if not all(shared.values()):
         lines += ["", "Photographs and the sample archive left out: there is no shared data."]
     args.text.write_text("\n".join(lines) + "\n")
     figures = {"study": study_json(tables), **shared, "asked": checks}
     args.json.write_text(json.dumps(figures, separators=(",", ":")) + "\n")
+
+
+def told(found: float | None) -> str:
+    return "" if found is None else f"{found:g}"
 
 
 def verdict(passed: bool | None) -> str:
@@ -104,10 +109,10 @@ def claim_lines(tables: list[np.ndarray], rerendering: dict | None) -> Iterator[
     for table in tables:
         lobe, layout, alpha = key(table)
         at = np.isclose(of_method(table, "sps")["ratio"], 0.1)
-        told = [of_method(table, name)["mean_deg"][at][0] for name in ("sps", "dps", "nips")]
+        errors = [of_method(table, name)["mean_deg"][at][0] for name in ("sps", "dps", "nips")]
         yield (
             f"| {LOBES[lobe]}, {layout}, alpha {alpha} | {better(table, 'dps')}"
-            f" | {better(table, 'dps', 'nips')} | {', '.join(f'{x:.1f}' for x in told)} |"
+            f" | {better(table, 'dps', 'nips')} | {', '.join(f'{x:.1f}' for x in errors)} |"
         )
     if rerendering:
         yield ""
