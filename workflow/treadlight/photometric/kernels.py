@@ -22,8 +22,9 @@ ALPHA_MAX = 1024.0
 # Ten octaves of alpha: steps of 2^(2/3) are finer than the cost's width around its minimum.
 _GRID = 16
 _NEWTON_STEPS = 12
-# Of s: a hundredth of what is asked of alpha.
-_TOLERANCE = np.float32(1e-4)
+# Of s: a hundredth of what is asked of alpha. A Newton step squares the error, so what is left
+# after one that was short already is shorter than that.
+_TOLERANCE, _SHORT_STEP = np.float32(1e-4), np.float32(3e-3)
 # How far a refinement may move alpha before the whole range is looked at again.
 _STRIDE, _INSIDE = np.float32(2.0), np.float32(1.01)
 # Eq. 5.27 divides by n.l: below cos 84 degrees the quotient is noise.
@@ -177,9 +178,10 @@ def _descend(a, s, low, high):
         step = first / (second * np.float32(_LN2)) if second > 0 else np.float32(np.inf)
         before = s
         s = s - step
-        if not low <= s <= high:
+        inside = low <= s <= high
+        if not inside:
             s = np.float32(0.5) * (low + high)
-        if abs(s - before) < _TOLERANCE * s:
+        if abs(s - before) < (_SHORT_STEP if inside else _TOLERANCE) * s:
             break
     return s
 
