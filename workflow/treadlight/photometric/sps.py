@@ -108,7 +108,7 @@ def _fit(
         np.ascontiguousarray(observations.noise, np.float32),
         algorithm,
         max_refinements,
-        math.cos(_CONVERGED_RAD),
+        _CONVERGED_RAD,
         misfit**2,
         _PRIOR_WEIGHT,
         out,
