@@ -13,6 +13,10 @@ from treadlight.photometric import lanes
 from treadlight.photometric.lanes import (
     ALPHA_MAX,
     COUNT,
+    DARK_LIGHT,
+    DARK_NH,
+    DARK_NL,
+    DARKEST,
     HX,
     HY,
     HZ,
@@ -38,7 +42,7 @@ from treadlight.photometric.lanes import (
     W,
     X,
     Y,
-)  # fmt: skip
+)
 
 # Eq. 5.27 divides by n.l: below cos 84 degrees the quotient is noise.
 _MIN_NL = 0.1
@@ -118,30 +122,42 @@ def _pass(r, v, bits, sums, k_d, views, by_intensity, again):
 
 
 @njit(cache=True)
-def _lobe(s, length, top):
-    """alpha and k_s of a pass (eq. 5.25)."""
-    alpha = 1.0 / s
-    # A highlight that no LED shows leaves the peak's height to extrapolation.
-    return alpha, top * math.exp2(min(alpha * math.log2(length), 100.0))
+def _power(base, exponent):
+    """base^exponent, 0 of what is not positive.
+
+    A highlight that no LED shows leaves the peak's height to extrapolation: it ends at 2^100.
+    """
+    return math.exp2(min(exponent * math.log2(base), 100.0)) if base > 0.0 else 0.0
 
 
 @njit(cache=True)
-def _gloss(k_s, alpha, nh):
-    return k_s * math.exp2(alpha * math.log2(nh)) if nh > 0.0 else 0.0
+def _find_darkest(r, v):
+    """The usable LED whose gloss is least (eq. 5.26): its number, n.h, n.l and light; -1 if none.
 
-
-@njit(cache=True)
-def _diffuse(r, p, k_s, alpha):
-    """k_d from the usable LED whose gloss is least (eqs. 5.26 and 5.27), never negative."""
-    darkest = -1
+    Lanes DARKEST, DARK_NH, DARK_NL and DARK_LIGHT.
+    """
+    darkest, least, facing, seen = v[DARKEST], v[DARK_NH], v[DARK_NL], v[DARK_LIGHT]
+    darkest[:] = -1
+    least[:] = 2
     for m in range(r[NL].shape[0]):
-        usable = r[USE][m, p] > 0 and r[NL][m, p] > _MIN_NL
-        if usable and (darkest < 0 or r[NH][m, p] < r[NH][darkest, p]):
-            darkest = m
-    if darkest < 0:
+        for p in range(PIXELS):
+            nl, nh = r[NL][m, p], r[NH][m, p]
+            lower = r[USE][m, p] > 0 and nl > _MIN_NL and nh < least[p]
+            darkest[p] = np.float32(m) if lower else darkest[p]
+            facing[p] = nl if lower else facing[p]
+            seen[p] = r[LIGHT][m, p] if lower else seen[p]
+            least[p] = nh if lower else least[p]
+
+
+@njit(cache=True)
+def _diffuse(v, state, p):
+    """k_d from the darkest LED (eq. 5.27), never negative."""
+    if v[DARKEST][p] < 0:
         return 0.0
-    gloss = _gloss(k_s, alpha, r[NH][darkest, p])
-    return max(0.0, (r[LIGHT][darkest, p] - gloss) / r[NL][darkest, p])
+    # k_s (n.h)^alpha = (|N| n.h)^alpha (eqs. 5.9 and 5.11): one power instead of two.
+    reach = state[_GOOD_LENGTH, p] * v[DARK_NH][p]
+    gloss = state[_GOOD_TOP, p] * _power(reach, 1.0 / state[_GOOD_S, p])
+    return max(0.0, (v[DARK_LIGHT][p] - gloss) / v[DARK_NL][p])
 
 
 @njit(cache=True)
@@ -172,17 +188,17 @@ def _refine(r, v, bits, sums, state, by_intensity, refinements, converged2, view
         if not state[_ACTIVE].any():
             break
         _cosines(r, v[N0], v[N1], v[N2])
+        _find_darkest(r, v)
         for p in range(PIXELS):
             if not state[_ACTIVE, p] > 0:
                 continue
-            top = state[_GOOD_TOP, p]
-            alpha, k_s = _lobe(state[_GOOD_S, p], state[_GOOD_LENGTH, p], top)
-            found = _diffuse(r, p, k_s, alpha)
+            found = _diffuse(v, state, p)
+            still = _STILL * state[_GOOD_TOP, p]
             moved2 = 0.0
             for i in range(3):
                 moved2 += (state[_GOOD_X + i, p] - state[_OLD_X + i, p]) ** 2
             # A pixel among symmetric LEDs knows its normal long before it knows k_d.
-            if moved2 < converged2 and abs(found - state[_PUT, p]) < _STILL * top:
+            if moved2 < converged2 and abs(found - state[_PUT, p]) < still:
                 state[_ACTIVE, p] = 0
             state[_PUT, p] = found
 
@@ -201,6 +217,7 @@ def _stand_again(r, v, bits, state, by_intensity):
     for p in range(PIXELS):
         v[N0][p], v[N1][p], v[N2][p] = state[_GOOD_X, p], state[_GOOD_Y, p], state[_GOOD_Z, p]
     _cosines(r, v[N0], v[N1], v[N2])
+    _find_darkest(r, v)
 
 
 @njit(cache=True)
@@ -222,7 +239,7 @@ def _rerender(r, p, out):
             continue
         used += 1
         light, dark = np.float64(r[LIGHT][m, p]), np.float64(r[NOISE][m, p])
-        error = light - (out[KD] * r[NL][m, p] + _gloss(out[KS], out[ALPHA], r[NH][m, p]))
+        error = light - (out[KD] * r[NL][m, p] + out[KS] * _power(r[NH][m, p], out[ALPHA]))
         squares += error * error
         power += light * light
         noise += dark * dark
@@ -240,7 +257,7 @@ def _rerender(r, p, out):
 
 
 @njit(cache=True)
-def _covariance(r, p, length, top, misfit2, prior_weight, mat, gain, out):
+def _covariance(r, v, p, length, top, misfit2, prior_weight, mat, gain, out):
     """First-order propagation of each LED's error through eqs. 5.22 to 5.28.
 
     The error of an LED is its noise and a misfit proportional to its intensity, whose square
@@ -253,26 +270,15 @@ def _covariance(r, p, length, top, misfit2, prior_weight, mat, gain, out):
         rho2 = (prior_weight * misfit2 + freedom * out[MISFIT]) / (prior_weight + freedom)
     s = 1.0 / out[ALPHA]
     searched = out[ALPHA] > 1.001 and out[ALPHA] < 0.999 * ALPHA_MAX
-    mat[:] = 0.0
-    darkest = -1
-    for m in range(r[NL].shape[0]):
-        usable = r[USE][m, p] > 0 and r[NL][m, p] > _MIN_NL
-        if usable and (darkest < 0 or r[NH][m, p] < r[NH][darkest, p]):
-            darkest = m
-        if r[W][m, p] > 0:
-            _jacobian(r, m, p, searched, gain[m])
-            for i in range(4):
-                for j in range(4):
-                    mat[i, j] += gain[m, i] * gain[m, j]
+    _information(r, p, searched, mat, gain)
     if not searched:
         mat[3, 3] = 1.0
     invert(mat)
-    through = np.zeros(3)
+    through0 = through1 = through2 = 0.0
     for m in range(r[NL].shape[0]):
         if not r[W][m, p] > 0:
             gain[m, :] = 0.0
             continue
-        # Row Y holds w exp2(s x) of the last pass.
         y = s * r[Y][m, p] / (np.float64(r[PART][m, p]) * top * length)
         g0, g1, g2, g3 = gain[m, 0], gain[m, 1], gain[m, 2], gain[m, 3]
         for i in range(3):
@@ -280,10 +286,14 @@ def _covariance(r, p, length, top, misfit2, prior_weight, mat, gain, out):
         along = gain[m, 0] * out[NX] + gain[m, 1] * out[NY] + gain[m, 2] * out[NZ]
         for i in range(3):
             gain[m, i] -= along * out[NX + i]
-            through[i] += gain[m, i] * r[NL][m, p]
+        through0 += gain[m, 0] * r[NL][m, p]
+        through1 += gain[m, 1] * r[NL][m, p]
+        through2 += gain[m, 2] * r[NL][m, p]
+    darkest = int(v[DARKEST][p])
     if darkest >= 0 and out[KD] > 0:
-        for i in range(3):
-            gain[darkest, i] -= through[i] / r[NL][darkest, p]
+        gain[darkest, 0] -= through0 / v[DARK_NL][p]
+        gain[darkest, 1] -= through1 / v[DARK_NL][p]
+        gain[darkest, 2] -= through2 / v[DARK_NL][p]
     out[CXX : CXX + 6] = 0.0
     for m in range(r[NL].shape[0]):
         variance = np.float64(r[NOISE][m, p]) ** 2 + rho2 * np.float64(r[LIGHT][m, p]) ** 2
@@ -295,11 +305,28 @@ def _covariance(r, p, length, top, misfit2, prior_weight, mat, gain, out):
 
 
 @njit(cache=True)
-def _jacobian(r, m, p, searched, row):
-    """Derivatives of LED m's weighted residual by N and s."""
-    w = np.float64(r[W][m, p])
-    row[0], row[1], row[2] = w * r[HX][m, p], w * r[HY][m, p], w * r[HZ][m, p]
-    row[3] = -np.float64(r[Y][m, p]) * r[X][m, p] * LN2 if searched else 0.0
+def _information(r, p, searched, mat, gain):
+    """J'J in mat and, LED by LED, J in gain: derivatives of weighted residuals by N and s."""
+    xx = xy = xz = xs = yy = yz = ys = zz = zs = ss = 0.0
+    for m in range(r[NL].shape[0]):
+        w = np.float64(r[W][m, p])
+        x, y, z = w * r[HX][m, p], w * r[HY][m, p], w * r[HZ][m, p]
+        # Row Y holds w exp2(s x) of the last pass.
+        t = -np.float64(r[Y][m, p]) * r[X][m, p] * LN2 if searched else 0.0
+        gain[m, 0], gain[m, 1], gain[m, 2], gain[m, 3] = x, y, z, t
+        xx += x * x
+        xy += x * y
+        xz += x * z
+        xs += x * t
+        yy += y * y
+        yz += y * z
+        ys += y * t
+        zz += z * z
+        zs += z * t
+        ss += t * t
+    mat[0, 0], mat[1, 1], mat[2, 2], mat[3, 3] = xx, yy, zz, ss
+    mat[0, 1], mat[0, 2], mat[0, 3], mat[1, 2], mat[1, 3], mat[2, 3] = xy, xz, xs, yz, ys, zs
+    mat[1, 0], mat[2, 0], mat[3, 0], mat[2, 1], mat[3, 1], mat[3, 2] = xy, xz, xs, yz, ys, zs
 
 
 @njit(cache=True)
@@ -320,14 +347,16 @@ def invert(mat):
 
 
 @njit(cache=True)
-def _publish(r, state, p, refined, misfit2, prior_weight, mat, gain, out):
+def _publish(r, v, state, p, refined, misfit2, prior_weight, mat, gain, out):
     """One pixel's results."""
     out[NX], out[NY], out[NZ] = state[_GOOD_X, p], state[_GOOD_Y, p], state[_GOOD_Z, p]
     length, top = state[_GOOD_LENGTH, p], state[_GOOD_TOP, p]
-    out[ALPHA], out[KS] = _lobe(state[_GOOD_S, p], length, top)
-    out[KD] = _diffuse(r, p, out[KS], out[ALPHA]) if refined else 0.0
+    # Eq. 5.25.
+    out[ALPHA] = 1.0 / state[_GOOD_S, p]
+    out[KS] = top * _power(length, out[ALPHA])
+    out[KD] = _diffuse(v, state, p) if refined else 0.0
     _rerender(r, p, out)
-    _covariance(r, p, length, top, misfit2, prior_weight, mat, gain, out)
+    _covariance(r, v, p, length, top, misfit2, prior_weight, mat, gain, out)
 
 
 @njit(cache=True, parallel=True)
@@ -376,5 +405,6 @@ def fit_pixels(
         for p in range(last - first):
             if state[_SOLVED, p] > 0:
                 _publish(
-                    r, state, p, algorithm == 4, misfit2, prior_weight, mat, gain, out[first + p]
-                )
+                    r, v, state, p, algorithm == 4,
+                    misfit2, prior_weight, mat, gain, out[first + p],
+                )  # fmt: skip

@@ -42,7 +42,8 @@ LIGHT, NOISE, USE, LX, LY, LZ, HX, HY, HZ, NL, NH = range(11)
 PART, W, X, Y, D, R, T, Q0, Q1, Q2, ROWS = range(11, 22)
 # Lanes: one value per pixel.
 S, LOW, HIGH, FIRST, SECOND, COST, LEAST, TOP, COUNT, SOUND, MOVING = range(11)
-C0, C1, C2, L00, L10, L11, L20, L21, L22, N0, N1, N2, LENGTH, LANES = range(11, 25)
+C0, C1, C2, L00, L10, L11, L20, L21, L22, N0, N1, N2, LENGTH = range(11, 24)
+DARKEST, DARK_NH, DARK_NL, DARK_LIGHT, LANES = range(24, 29)
 
 # Bits of sqrt(1/2), and how many the mantissa has, in single precision.
 _HALF_ROOT, _MANTISSA = np.int32(0x3F3504F3), np.int32(23)
