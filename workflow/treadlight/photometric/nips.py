@@ -19,7 +19,7 @@ def nips(observations: Observations) -> Estimate:
     non-linear iteration on a parameterised model from initial values that decide its success
     (sections 2.4 and 5.1). Here: Levenberg-Marquardt from the normal of `dps`, alpha = 10, and
     half of the brightest LED's light for each of k_d and k_s; alpha stays in [1, 1024], k_d and
-    k_s are not negative. An LED behind the surface counts: the model says that it gives no
+    k_s are not negative, and the normal faces the camera. An LED behind the surface counts: the model says that it gives no
     light. Where gloss rules, `dps` is tens of degrees off and many fits end in a wrong lobe.
 
     Parameters
@@ -30,8 +30,7 @@ def nips(observations: Observations) -> Estimate:
     -------
     Estimate
         few_leds: fewer than five usable LEDs (there are five unknowns), no normal. poor_fit:
-        `dps` finds no normal to start from, no LED shows light, or the normal faces away from
-        the camera; no normal.
+        `dps` finds no normal to start from or no LED shows light; no normal.
     """
     total = observations.intensity.shape[1]
     out = np.empty((total, kernel.RESULTS))

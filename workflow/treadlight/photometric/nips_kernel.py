@@ -141,8 +141,11 @@ def _step(n, x, frame, step, n_new, x_new):
 
 
 @njit(cache=True)
-def _fit(table, count, n, x, frame, matrix, gradient):
-    """Levenberg-Marquardt from n and x, which it moves; returns the cost."""
+def _fit(table, count, view, n, x, frame, matrix, gradient):
+    """Levenberg-Marquardt from n and x, which it moves; returns the cost.
+
+    A step to a normal that faces away from the camera is none: what is seen faces it.
+    """
     damped = np.zeros((UNKNOWNS, UNKNOWNS))
     n_new, x_new = np.zeros(3), np.zeros(UNKNOWNS)
     damping = _LAMBDA
@@ -159,7 +162,7 @@ def _fit(table, count, n, x, frame, matrix, gradient):
         invert(damped)
         _step(n, x, frame, damped @ gradient, n_new, x_new)
         trial = _cost(table, count, n_new, x_new)
-        fresh = trial < cost
+        fresh = trial < cost and _dot(n_new, view) > 0
         if not fresh:
             damping *= _HARDEN
             if damping > _HOPELESS:
@@ -227,9 +230,7 @@ def fit_pixels(intensity, lights, views, usable, noise, start, out):
                 continue
             n[:] = start[k]
             _start(x)
-            cost = _fit(table, count, n, x, frame, matrix, gradient)
-            if not _dot(n, views[k]) > 0:
-                continue
+            cost = _fit(table, count, views[k], n, x, frame, matrix, gradient)
             out[k, NX : NZ + 1] = n
             out[k, KD], out[k, KS] = brightest * x[_KD], brightest * x[_KS]
             out[k, ALPHA] = math.exp(x[_LOG_ALPHA])
