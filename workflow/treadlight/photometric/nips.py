@@ -19,8 +19,9 @@ def nips(observations: Observations) -> Estimate:
     non-linear iteration on a parameterised model from initial values that decide its success
     (sections 2.4 and 5.1). Here: Levenberg-Marquardt from the normal of `dps`, alpha = 10, and
     half of the brightest LED's light for each of k_d and k_s; alpha stays in [1, 1024], k_d and
-    k_s are not negative, and the normal faces the camera. An LED behind the surface counts: the model says that it gives no
-    light. Where gloss rules, `dps` is tens of degrees off and many fits end in a wrong lobe.
+    k_s are not negative, and the normal faces the camera. An LED behind the surface counts: the
+    model says that it gives no light. Where gloss rules, `dps` is tens of degrees off and many
+    fits end in a wrong lobe.
 
     Parameters
     ----------
