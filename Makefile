@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format lock clean
+.PHONY: help setup demo test bench-photometry bench-speed lint format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -31,18 +31,27 @@ demo: setup ## Make the demo archive (once), process it, say where the result pa
 test: setup ## Run all tests, with coverage
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
 
+bench-photometry: setup ## Every estimator of normals on renders, photographs and a tire (figures in build/)
+	sh tests/benchmarks/photometry/povray.sh
+	$(BIN)/snakemake --snakefile tests/benchmarks/photometry/Snakefile --cores $(CORES) --quiet rules
+	@cat build/bench-photometry/summary.md build/bench-photometry/figures.json
+
+bench-speed: setup ## How fast the kernels are, beside plain versions of the same
+	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
+	  NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
+
 lint: setup ## Check style, types and layers
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/snakefmt --check Snakefile rules
+	$(BIN)/snakefmt --check Snakefile rules tests/benchmarks
 	$(BIN)/lint-imports
 
 format: setup ## Format Python and Snakemake files
-	$(BIN)/ruff check --fix . && $(BIN)/ruff format . && $(BIN)/snakefmt Snakefile rules
+	$(BIN)/ruff check --fix . && $(BIN)/ruff format . && $(BIN)/snakefmt Snakefile rules tests/benchmarks
 
 lock: ## Pin the newest versions (needs pip-tools)
 	pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-options \
 	  --no-header --output-file $(LOCK) workflow/envs/requirements.in
 
-clean: ## Remove the demo and its results, not the environment
-	rm -rf demo results
+clean: ## Remove the demo, its results and the benchmarks' figures, not the environment
+	rm -rf demo results build

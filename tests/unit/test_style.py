@@ -11,7 +11,7 @@ COMMANDS = {
     "ruff check": ["ruff", "check", "."],
     "ruff format": ["ruff", "format", "--check", "."],
     "mypy": ["mypy"],
-    "snakefmt": ["snakefmt", "--check", "Snakefile", "rules"],
+    "snakefmt": ["snakefmt", "--check", "Snakefile", "rules", "tests/benchmarks"],
     "import-linter": ["lint-imports", "--no-cache"],
 }
 

@@ -238,3 +238,12 @@ def test_least_squares_on_real_stacks_gives_the_published_error(
     assert normals(shared_real / name, tmp_path / "o.npz", "--method", "dps") == 0
     said = capsys.readouterr().out
     assert float(said.split("mean ")[1].split(",")[0]) == pytest.approx(mean, abs=0.05)
+
+
+def test_a_method_that_is_none_is_said_with_those_there_are(analytic, rng, tmp_path, capsys):
+    stack_file(tmp_path / "s.npz", analytic, rng)
+    assert normals(tmp_path / "s.npz", tmp_path / "o.npz", "--method", "magic") == 2
+    said = capsys.readouterr().err
+    assert "No method 'magic'" in said
+    assert "sps-2" in said
+    assert "nips" in said

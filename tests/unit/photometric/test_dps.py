@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from treadlight.photometric import dps
+from treadlight.photometric import dps, dps_l1
 from treadlight.photometric.observations import FEW_LEDS, POOR_FIT
 
 
@@ -50,3 +50,42 @@ def test_the_covariance_is_that_of_repeated_trials(analytic, rng):
     told = np.mean(found.covariance, axis=0)
     assert math.sqrt(told[3] / seen[0, 0]) == pytest.approx(1, abs=0.1)
     assert math.sqrt(told[5] / seen[1, 1]) == pytest.approx(1, abs=0.1)
+
+
+def test_least_absolute_residuals_shrug_off_a_highlight(analytic, rng):
+    """Two LEDs of sixteen show gloss: least squares is turned by degrees, the robust form not."""
+    normals, lights = analytic.tilted(rng, 300), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.3, 0, 1)
+    for pixel in range(300):
+        intensity[rng.choice(16, 2, replace=False), pixel] += 0.5
+    plain = dps(analytic.observe(intensity, lights))
+    robust = dps_l1(analytic.observe(intensity, lights))
+    assert np.median(analytic.degrees_between(plain.normal, normals)) > 3
+    assert np.max(analytic.degrees_between(robust.normal, normals)) < 0.05
+    np.testing.assert_allclose(robust.k_d, 0.3, rtol=1e-3)
+
+
+def test_least_absolute_residuals_are_least(analytic, rng):
+    """No small turn of the found k_d n lowers the sum."""
+    normals, lights = analytic.tilted(rng, 50), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.3, 0.1, 20)
+    found = dps_l1(analytic.observe(intensity, lights))
+    scaled = found.normal.astype(float) * found.k_d[:, None]
+
+    def total(scaled):
+        return np.sum(np.abs(intensity - lights @ scaled.T), axis=0)
+
+    least = total(scaled)
+    for _ in range(50):
+        assert np.all(total(scaled + 0.01 * rng.standard_normal((50, 3))) > least - 1e-4)
+
+
+def test_the_robust_covariance_is_that_of_repeated_trials(analytic, rng):
+    """Few LEDs make an asymptotic formula a rough one: within a third."""
+    lights = analytic.two_rings()
+    clean = np.repeat(analytic.blinn_phong(np.eye(3)[:1], lights, 0.3, 0, 1), 3000, axis=1)
+    found = dps_l1(analytic.observe(clean + 0.01 * rng.standard_normal(clean.shape), lights))
+    seen = np.cov(found.normal[:, 1:].T)
+    told = np.mean(found.covariance, axis=0)
+    assert math.sqrt(told[3] / seen[0, 0]) == pytest.approx(1, abs=0.33)
+    assert math.sqrt(told[5] / seen[1, 1]) == pytest.approx(1, abs=0.33)

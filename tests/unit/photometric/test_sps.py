@@ -204,3 +204,54 @@ def test_the_number_of_cores_changes_no_bit(analytic, rng):
         numba.set_num_threads(before)
     for name in ("normal", "alpha", "k_d", "covariance"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+def test_algorithm_2_does_what_the_printed_steps_do(analytic, rng):
+    """Every LED weighs the same (eqs. 5.14 to 5.17), with every alpha of a fine grid tried.
+
+    Roots are all near 1 and differ by little: single precision shows, to 0.02 degree.
+    """
+    normals, lights = analytic.tilted(rng, 12), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.01, 0.4, 25)
+    intensity = intensity * (1 + 0.02 * rng.standard_normal(intensity.shape))
+    found = sps(analytic.observe(intensity, lights), algorithm=2)
+    halves = lights + np.array([1.0, 0, 0])
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    for k, light in enumerate((intensity / intensity.max(axis=0)).T):
+        trials = np.geomspace(1, 1024, 3000)
+        roots = light[:, None] ** (1 / trials)
+        solutions = np.linalg.pinv(halves) @ roots
+        best = int(np.argmin(np.sum((roots - halves @ solutions) ** 2, axis=0)))
+        length = np.linalg.norm(solutions[:, best])
+        assert analytic.degrees_between(found.normal[k], solutions[:, best] / length) < 0.02
+        assert found.alpha[k] == pytest.approx(trials[best], rel=0.01)
+        strength = intensity[:, k].max() * length ** trials[best]
+        assert found.k_s[k] == pytest.approx(strength, rel=0.02)
+        assert found.k_d[k] == 0
+
+
+def test_algorithm_3_is_algorithm_4_before_its_refinements(analytic, rng):
+    """The same normal and lobe, but all light is gloss."""
+    normals, lights = analytic.tilted(rng, 100), analytic.two_rings()
+    observations = analytic.observe(analytic.blinn_phong(normals, lights, 0.02, 0.4, 25), lights)
+    third = sps(observations, algorithm=3)
+    first_pass = sps(observations, max_refinements=0)
+    np.testing.assert_array_equal(third.normal, first_pass.normal)
+    np.testing.assert_array_equal(third.alpha, first_pass.alpha)
+    assert (third.k_d == 0).all()
+    assert (first_pass.k_d > 0).all()
+
+
+@pytest.mark.parametrize("algorithm", [2, 3])
+def test_the_covariance_of_the_unrefined_algorithms_is_that_of_repeated_trials(
+    analytic, rng, algorithm
+):
+    lights = analytic.two_rings()
+    normal = np.array([[math.cos(0.1), math.sin(0.1), 0.0]])
+    clean = np.repeat(analytic.blinn_phong(normal, lights, 0, 0.4, 15), 3000, axis=1)
+    noisy = clean * (1 + 0.03 * rng.standard_normal(clean.shape))
+    found = sps(analytic.observe(noisy, lights), algorithm=algorithm)
+    seen = np.cov(found.normal[:, 1:].T)
+    told = np.median(found.covariance, axis=0)
+    assert math.sqrt(told[3] / seen[0, 0]) == pytest.approx(1, abs=0.25)
+    assert math.sqrt(told[5] / seen[1, 1]) == pytest.approx(1, abs=0.25)

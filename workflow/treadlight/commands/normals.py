@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from treadlight.photometric import Observations
 
-_METHODS = ("sps", "dps")
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     # The layout of STACK above is a table: argparse must not fill its lines.
@@ -33,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("stack", type=Path, metavar="STACK", help="the .npz file described above")
     parser.add_argument(
         "--method",
-        choices=_METHODS,
+        metavar="NAME",
         default="sps",
-        help="sps: specular photometric stereo (algorithm 4); dps: Lambertian least squares",
+        help="an estimator; a name that is none lists them (default: %(default)s)",
     )
     parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
 
@@ -43,12 +41,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     import numpy as np
 
-    from treadlight.photometric import dps, sps
+    from treadlight.errors import ConfigError
+    from treadlight.photometric import METHODS
 
+    # Not argparse's choices: the list would load numba before the number of threads is set.
+    if args.method not in METHODS:
+        raise ConfigError(f"No method '{args.method}'. Choose one of {', '.join(METHODS)}.")
     stack = _load(args.stack)
     mask = _mask(args.stack, stack)
     observations = _observations(args.stack, stack, mask)
-    estimate = {"dps": dps, "sps": sps}[args.method](observations)
+    estimate = METHODS[args.method](observations)
 
     def image(values: "np.ndarray", empty: float) -> "np.ndarray":
         full = np.full((*mask.shape, *values.shape[1:]), empty, values.dtype)

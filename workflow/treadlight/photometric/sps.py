@@ -1,11 +1,14 @@
-"""Specular photometric stereo: algorithm 4 of the dissertation."""
+"""Specular photometric stereo: algorithms 2 to 4 of the dissertation."""
 
 import math
+from typing import Literal
 
 import numpy as np
 
 from treadlight.photometric import kernels
 from treadlight.photometric.observations import FEW_LEDS, MIN_LEDS, POOR_FIT, Estimate, Observations
+
+Algorithm = Literal[2, 3, 4]
 
 MAX_REFINEMENTS = 5
 _CONVERGED_RAD = math.radians(0.001)
@@ -20,24 +23,30 @@ DISSERTATION_MISFIT = 0.129
 def sps(
     observations: Observations,
     *,
+    algorithm: Algorithm = 4,
     max_refinements: int = MAX_REFINEMENTS,
     misfit: float | None = None,
 ) -> Estimate:
-    """Normals from the gloss, the diffuse part taken out step by step (algorithm 4).
+    """Normals from the gloss (section 5.3): algorithm 2, 3 or 4.
 
-    Intensities are weights (eq. 5.21), alpha is searched for in [1, 1024], and k_d comes from
-    the LED that shows least gloss (eqs. 5.26 and 5.27). Departures from the print: intensities
-    are divided by the pixel's brightest first, so that the choice of alpha does not depend on
-    the unit of light; k_d is never negative and its LED has n.l above 0.1; LEDs behind the
+    Algorithm 2 takes all light for gloss and every LED for as good as any other (eq. 5.15);
+    algorithm 3 weighs LEDs by their intensity (eq. 5.23); algorithm 4 takes the diffuse part
+    out step by step, k_d from the LED that shows least gloss (eqs. 5.26 and 5.27). All search
+    for alpha in [1, 1024]. Departures from the print: intensities are divided by the pixel's
+    brightest first, so that the choice of alpha does not depend on the unit of light; an LED
+    that shows no light has no part in algorithm 2, where the root of its noise would count as
+    much as a highlight; k_d is never negative and its LED has n.l above 0.1; LEDs behind the
     surface (n.l <= 0) are left out of the sums once a normal is known; an estimate that
     faces away from the camera is no normal.
 
     Parameters
     ----------
     observations : Observations
+    algorithm : 2, 3 or 4
+        In the dissertation's numbering. k_d is 0 after algorithms 2 and 3.
     max_refinements : int
-        Repetitions of steps 2 to 5, at most; it ends when the normal moves by less than 0.001
-        degree.
+        Of algorithm 4: repetitions of steps 2 to 5, at most; it ends when the normal moves by
+        less than 0.001 degree.
     misfit : float, optional
         Relative rerendering error that is usual in the region; a pixel's own is drawn towards
         it in the covariance. By default it is learned from these observations.
@@ -49,8 +58,8 @@ def sps(
         normal is not determined or faces away from the camera, no normal.
     """
     if misfit is None:
-        misfit = typical_misfit(observations, max_refinements=max_refinements)
-    found = _fit(observations, max_refinements, misfit)
+        misfit = typical_misfit(observations, algorithm=algorithm, max_refinements=max_refinements)
+    found = _fit(observations, algorithm, max_refinements, misfit)
     normal = found[:, kernels.NX : kernels.NZ + 1].astype(np.float32)
     used = found[:, kernels.LEDS]
     nothing = ~np.isfinite(normal[:, 0])
@@ -71,17 +80,24 @@ def sps(
     )
 
 
-def typical_misfit(observations: Observations, *, max_refinements: int = MAX_REFINEMENTS) -> float:
+def typical_misfit(
+    observations: Observations,
+    *,
+    algorithm: Algorithm = 4,
+    max_refinements: int = MAX_REFINEMENTS,
+) -> float:
     """The median relative misfit of the model over these pixels, after five fitted parameters.
 
     Where no pixel has more than five usable LEDs, the dissertation's 12.9 % stands in.
     """
-    found = _fit(observations, max_refinements, 0.0)[:, kernels.MISFIT]
+    found = _fit(observations, algorithm, max_refinements, 0.0)[:, kernels.MISFIT]
     known = found[np.isfinite(found)]
     return float(np.sqrt(np.median(known))) if known.size else DISSERTATION_MISFIT
 
 
-def _fit(observations: Observations, max_refinements: int, misfit: float) -> np.ndarray:
+def _fit(
+    observations: Observations, algorithm: Algorithm, max_refinements: int, misfit: float
+) -> np.ndarray:
     out = np.empty((observations.intensity.shape[1], kernels.RESULTS))
     # One memory layout and type: the kernel is then compiled once.
     kernels.fit_pixels(
@@ -90,8 +106,9 @@ def _fit(observations: Observations, max_refinements: int, misfit: float) -> np.
         np.ascontiguousarray(observations.views, np.float32),
         np.ascontiguousarray(observations.usable, np.bool_),
         np.ascontiguousarray(observations.noise, np.float32),
+        algorithm,
         max_refinements,
-        math.cos(_CONVERGED_RAD),
+        _CONVERGED_RAD,
         misfit**2,
         _PRIOR_WEIGHT,
         out,

@@ -1,0 +1,67 @@
+"""Non-linear iterative photometric stereo: the full Blinn-Phong model, fitted per pixel."""
+
+import math
+
+import numpy as np
+
+from treadlight.photometric import nips_kernel as kernel
+from treadlight.photometric.dps import dps
+from treadlight.photometric.observations import FEW_LEDS, POOR_FIT, Estimate, Observations
+
+_WORST_RAD2 = (math.pi / 2) ** 2
+_CHUNK_PX = 1 << 16
+
+
+def nips(observations: Observations) -> Estimate:
+    """Normals, k_d, k_s and alpha of the least sum of (I_m - eq. 5.1)2 over the usable LEDs.
+
+    The rival of the dissertation's section 5.4, which describes it no closer than as
+    non-linear iteration on a parameterised model from initial values that decide its success
+    (sections 2.4 and 5.1). Here: Levenberg-Marquardt from the normal of `dps`, alpha = 10, and
+    half of the brightest LED's light for each of k_d and k_s; alpha stays in [1, 1024], k_d and
+    k_s are not negative, and the normal faces the camera. An LED behind the surface counts: the
+    model says that it gives no light. Where gloss rules, `dps` is tens of degrees off and many
+    fits end in a wrong lobe.
+
+    Parameters
+    ----------
+    observations : Observations
+
+    Returns
+    -------
+    Estimate
+        few_leds: fewer than five usable LEDs (there are five unknowns), no normal. poor_fit:
+        `dps` finds no normal to start from or no LED shows light; no normal.
+    """
+    total = observations.intensity.shape[1]
+    out = np.empty((total, kernel.RESULTS))
+    start = dps(observations).normal.astype(np.float64)
+    for first in range(0, total, _CHUNK_PX):
+        part = slice(first, first + _CHUNK_PX)
+        # In double precision all through, as a baseline; a chunk at a time.
+        kernel.fit_pixels(
+            np.ascontiguousarray(observations.intensity[:, part], np.float64),
+            np.ascontiguousarray(observations.lights[:, part], np.float64),
+            np.ascontiguousarray(observations.views[part], np.float64),
+            np.ascontiguousarray(observations.usable[:, part], np.bool_),
+            np.ascontiguousarray(observations.noise[:, part], np.float64),
+            start[part],
+            out[part],
+        )
+    usable = observations.usable & np.isfinite(observations.intensity)
+    used = usable.sum(axis=0).astype(np.uint8)
+    nothing = np.isnan(out[:, kernel.NX])
+    few = used < kernel.UNKNOWNS
+    flags = np.where(few, FEW_LEDS, np.where(nothing, POOR_FIT, np.uint8(0)))
+    k_d, k_s, alpha, residual = out[:, kernel.KD : kernel.RESIDUAL + 1].T.astype(np.float32)
+    return Estimate(
+        normal=out[:, kernel.NX : kernel.NZ + 1].astype(np.float32),
+        k_d=k_d,
+        k_s=k_s,
+        alpha=alpha,
+        residual=residual,
+        leds_used=used,
+        flags=flags.astype(np.uint8),
+        # An angle cannot be more uncertain than this, whatever the linear propagation says.
+        covariance=np.clip(out[:, kernel.CXX :], -_WORST_RAD2, _WORST_RAD2).astype(np.float32),
+    )
