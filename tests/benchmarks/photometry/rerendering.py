@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 from treadlight import store
 from treadlight.archive import read_capture
 from treadlight.commands import photometric_stereo as command
-from treadlight.photometric import METHODS, Observations, View, scene
-from treadlight.photometric import view as stage
+from treadlight.photometric import METHODS, Observations, View, observe_view
+from treadlight.photometric.view import needed_rows, part_of
 
 # The scale of the figure ends here.
 _LARGEST = 0.6
@@ -33,7 +33,7 @@ def main() -> None:
     # Of all views the middle one.
     number = sorted(capture.views)[len(capture.views) // 2]
     rig = store.read_rig(args.calibration)
-    view = command._read_view(capture, number, rig, args.illumination)
+    view = command.read_view(capture, number, rig, args.illumination)
     observations = observe(view, args.surface)
     maps = {
         name: method(observations).residual.reshape(view.intensity.shape[1:])
@@ -56,15 +56,10 @@ def main() -> None:
 def observe(view: View, surface: Path) -> Observations:
     """What the stage gives its method of every pixel of a view."""
     found = store.open_store(surface)
-    grid = command._grid(found)
-    rows = stage.needed_rows(view, grid)
+    grid = command.grid_of(found)
+    rows = needed_rows(view, grid)
     part = found[["r", "r_std"]].isel(theta=rows).load()
-    r, r_std = part["r"].to_numpy(), part["r_std"].to_numpy()
-    patch = scene.cut_patch(
-        stage.part_of(grid, rows), r, r_std, view.encoder, stage._seen_angles(view, r)
-    )
-    pixels = np.arange(view.intensity[0].size)
-    return stage._observe(view, patch, stage._obstacles(patch), pixels)[0]
+    return observe_view(view, part_of(grid, rows), part["r"].to_numpy(), part["r_std"].to_numpy())
 
 
 def figures(residual: np.ndarray) -> dict[str, float]:

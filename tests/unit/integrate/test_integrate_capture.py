@@ -1,5 +1,7 @@
 """A tread of which everything is known: a groove, a slot, a crown, texture."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -66,7 +68,7 @@ def make_sections(grid, rng, count, outliers=0.02):
     r = true_radius(theta, z) + rng.normal(0, LASER_STD, theta.shape)
     wild = rng.uniform(size=r.shape) < outliers
     r = np.where(wild, r + rng.normal(0, 3, r.shape), r)
-    return LaserSections(r, theta, z, np.full(r.shape, LASER_STD), -theta[:, 0])
+    return LaserSections(r, theta, z, np.full(r.shape, LASER_STD), -theta[:, 0], 1.0)
 
 
 def first_surface(grid, sections):
@@ -169,7 +171,7 @@ def test_photometry_only_gives_the_shape():
     rng = np.random.default_rng(3)
     grid = CylinderGrid.sector((0.1, 0.1 + 40 / RADIUS), (8.0, 25.0), STEP, RADIUS)
     view = make_view(grid, rng, np.arange(len(grid.theta)))
-    nothing = LaserSections(*(np.empty((0, 5)) for _ in range(4)), np.empty(0))
+    nothing = LaserSections(*(np.empty((0, 5)) for _ in range(4)), np.empty(0), 1.0)
     flat = np.full(grid.shape, RADIUS)
     profile = integrate_capture(
         [view], nothing, FirstSurface(flat, np.full(grid.shape, 8.0)), grid, 10
@@ -191,7 +193,7 @@ def test_cells_that_nothing_supports_are_nan_and_refused(capture):
     keep = np.where(np.isfinite(sections.theta), sections.r, np.nan)
     hidden = (sections.theta > grid.theta[39]) & (sections.theta < grid.theta[60])
     keep = np.where(hidden & (sections.z < grid.z[21]), np.nan, keep)
-    gappy = LaserSections(keep, sections.theta, sections.z, sections.r_std, sections.encoder)
+    gappy = replace(sections, r=keep)
     profile = integrate_capture([view], gappy, FirstSurface(r, surface.r_std), grid, 0)
     flags = quality_flags(profile)
     refused = flags & (1 << FLAGS.index("refused")) > 0

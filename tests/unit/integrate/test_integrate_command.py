@@ -59,7 +59,7 @@ def products(tmp_path, rng):
     laser = xr.Dataset(
         {name: field(line, v, "1", name) for name, v in values.items()}
         | {"encoder": field(("section",), -theta[:, 0], "rad", "e")},
-        attrs={"closure_mm": 0.02},
+        attrs={"closure_mm": 0.02, "shared_rows": 1.0},
     )
     store.write_store(tmp_path / "laser.zarr", laser, title="l", source="t1-0")
     return tmp_path

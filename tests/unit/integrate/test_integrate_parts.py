@@ -1,17 +1,15 @@
 import numpy as np
 import pytest
 
+from treadlight import tread
 from treadlight.geometry import Axis, Camera, CylinderGrid, Rig
 from treadlight.integrate import prior
+from treadlight.integrate.confirm import confirm
 from treadlight.integrate.edges import curl_scale
 from treadlight.integrate.gather import ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.quality import frame_std
-from treadlight.integrate.uncertainty import (
-    compare_held_out,
-    coverage_factor,
-    points_per_error,
-)
+from treadlight.integrate.uncertainty import compare_held_out, coverage_factor
 
 
 def sector():
@@ -83,13 +81,113 @@ def test_curl_tells_noise_that_the_covariance_understates(rng):
     assert curl_scale(slope * np.nan, slope**2, grid) == 1.0
 
 
-def test_first_surface_is_unsure_beside_its_steps_only():
+def test_first_surface_is_unsure_beside_its_steps_and_follows_the_outline_elsewhere():
+    """Between steps its own differences are noise: the outline's take their place."""
     grid = sector()
-    start = np.full(grid.shape, 300.0)
+    rng = np.random.default_rng(2)
+    outline = 300.0 + 0.1 * grid.z + np.zeros(grid.shape)
+    start = outline + rng.normal(0, 0.01, grid.shape)
     start[:, 20:] -= 8.0
-    std = prior.edge_std(start, np.full(grid.shape, 0.1), grid)
-    assert np.allclose(std[:, :16], 0.1)
-    assert (std[:, 19:21] > 3).all()
+    std = np.full(grid.shape, 0.1)
+    bridged = np.zeros(grid.shape, bool)
+    bridged[10] = True
+    found = prior.first_edges(start, std, bridged, outline, 2e-3, grid)
+    np.testing.assert_allclose(found.step[1, :9, :16], 0.1 * grid.step_z, rtol=1e-4)
+    np.testing.assert_allclose(found.std[1, :9, :16], np.sqrt(2e-3 * grid.step_z), rtol=1e-5)
+    along = grid.step_theta * grid.nominal_radius_mm
+    np.testing.assert_allclose(found.std[0, :9, :16], np.sqrt(2e-3 * along), rtol=1e-5)
+    assert (found.std[1, :, 19:20] > 3).all()
+    np.testing.assert_allclose(found.std[1, 10, :16], 0.1, rtol=1e-5)
+    np.testing.assert_allclose(found.step[1, 10, :16], np.diff(start[10, :17]), atol=1e-4)
+
+
+def test_an_edge_to_a_cell_that_nothing_knows_has_no_step():
+    grid = sector()
+    std = np.full(grid.shape, 0.1)
+    std[5, 7] = np.nan
+    surface = np.full(grid.shape, 300.0)
+    found = prior.first_edges(surface, std, np.zeros(grid.shape, bool), surface, 1e-3, grid)
+    unknown = np.isnan(found.step)
+    assert unknown[0, 4, 7]
+    assert unknown[0, 5, 7]
+    assert unknown[1, 5, 6]
+    assert unknown[1, 5, 7]
+    assert unknown.sum() == 4
+
+
+def ribbed(grid):
+    """Regions of a tread with one groove, its outline, and the sections' columns."""
+    surface = 300.0 - 8.0 * (np.abs(grid.z) < 3) + np.zeros(grid.shape)
+    regions = tread.find_regions(surface, grid)
+    return surface, regions, prior.outline(surface, regions, grid)
+
+
+@pytest.mark.parametrize("drift", [0.0, 4e-3])
+def test_drift_is_what_differences_grow_by_beyond_the_noise(rng, drift):
+    """A random walk of so much variance per mm under white noise of 0.1 mm."""
+    grid = CylinderGrid.sector((0.0, 1.2), (-60.0, 60.0), 0.5, 300.0)
+    surface, regions, outline = ribbed(grid)
+    count, columns = 60, grid.shape[1]
+    walk = np.cumsum(rng.normal(0, np.sqrt(drift * grid.step_z), (count, columns)), axis=1)
+    values = 300.0 + walk + rng.normal(0, 0.1, walk.shape)
+    section, column = np.mgrid[:count, :columns]
+    row = section * (grid.shape[0] // count)
+    values = values + (surface[row, column] - 300.0)
+    laser = LaserCells(
+        row.ravel(), column.ravel(), values.ravel(), np.full(row.size, 0.1), section.ravel()
+    )
+    found = prior.drift_rate(laser, outline, regions, 24.0, grid)
+    if drift:
+        assert found == pytest.approx(drift, rel=0.25)
+    else:
+        assert 0 < found < 3e-4
+    nothing = laser.select(np.zeros(row.size, bool))
+    assert prior.drift_rate(nothing, outline, regions, 24.0, grid) is None
+
+
+def sections_on(surface, grid, count, std, rng):
+    """Laser points at every column of evenly spread sections, with white noise."""
+    rows = np.linspace(0, grid.shape[0] - 1, count).round().astype(int)
+    row, column = (a.ravel() for a in np.meshgrid(rows, np.arange(grid.shape[1]), indexing="ij"))
+    section = np.repeat(np.arange(count), grid.shape[1])
+    value = surface[row, column] + rng.normal(0, std, row.size)
+    return LaserCells(row, column, value, np.full(row.size, std), section)
+
+
+@pytest.mark.parametrize("real", [True, False])
+def test_slow_relief_of_the_slopes_counts_as_far_as_the_sections_confirm_it(rng, real):
+    """Waves of 0.15 mm over 16 mm: measured by both, or by the normals alone."""
+    grid = CylinderGrid.sector((0.0, 1.0), (-40.0, 40.0), 0.5, 300.0)
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    wave = 2 * np.pi / 16
+    shape = 0.15 * np.sin(wave * theta * 300) * np.sin(wave * z)
+    p = 0.15 * wave * np.cos(wave * theta * 300) * np.sin(wave * z)
+    q = 0.15 * wave * np.sin(wave * theta * 300) * np.cos(wave * z)
+    field = view_field(view_at(theta, z, (p, q)), grid)
+    outline = np.full(grid.shape, 300.0)
+    laser = sections_on(outline + real * shape, grid, 38, 0.03, rng)
+    walls = np.zeros(grid.shape, bool)
+    spacing = grid.shape[0] / 37
+    (drawn,) = confirm([field], laser, outline, walls, spacing, grid)
+    kept = np.std(drawn.slope[0]) / np.std(field.slope[0])
+    assert kept > 0.9 if real else kept < 0.5
+
+
+def test_a_dent_that_stands_out_of_the_slopes_is_not_drawn_in(rng):
+    """Slopes of ten times the usual deviation are no error, even where no section can confirm."""
+    grid = CylinderGrid.sector((0.0, 1.0), (-40.0, 40.0), 0.5, 300.0)
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    p, q = rng.normal(0, 0.05, (2, *grid.shape))
+    dent = (np.abs(theta - 0.5) * 300 < 4) & (np.abs(z) < 4)
+    p = np.where(dent, p + 0.2 * np.sign(theta - 0.5), p)
+    field = view_field(view_at(theta, z, (p, q)), grid)
+    outline = np.full(grid.shape, 300.0)
+    laser = sections_on(outline, grid, 38, 0.05, rng)
+    walls = np.zeros(grid.shape, bool)
+    (drawn,) = confirm([field], laser, outline, walls, grid.shape[0] / 37, grid)
+    sign = np.sign(theta - 0.5)
+    before, after = (np.mean((f.slope[0] * sign)[dent]) for f in (field, drawn))
+    assert after > 0.85 * before
 
 
 def test_complete_fills_from_the_nearest_cell():
@@ -112,21 +210,6 @@ def test_held_out_comparison_takes_the_lasers_own_noise_out(rng):
     factor = coverage_factor(r, np.full(r.shape, 0.02), held)
     assert factor == pytest.approx(3, rel=0.15)
     assert coverage_factor(r, np.full(r.shape, 0.02), held.select(np.arange(n) < 5)) == 1.0
-
-
-def test_points_whose_errors_go_together_count_as_fewer(rng):
-    """A moving mean over five independent errors: 1 + 2 (0.8 + 0.6 + 0.4 + 0.2) = 5 points."""
-    sections, n = 40, 500
-    section, column = (a.ravel() for a in np.mgrid[:sections, :n])
-    white = rng.normal(0, 0.1, (sections, n + 4))
-    alike = np.lib.stride_tricks.sliding_window_view(white, 5, axis=1).mean(axis=2)
-    r = np.full((sections, n), 300.0)
-    for values, expected in ((white[:, :n], 1), (alike, 5)):
-        laser = LaserCells(
-            section, column, 300 + values.ravel(), np.full(section.size, 0.1), section
-        )
-        assert points_per_error(laser, r) == pytest.approx(expected, rel=0.15)
-    assert points_per_error(laser.select(np.zeros(section.size, bool)), r) == 1.0
 
 
 def test_frame_uncertainty_follows_from_the_axis():

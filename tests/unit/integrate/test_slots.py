@@ -1,5 +1,7 @@
 """A ribbed tread with cuts across: slots that sections meet, one that none meets, a sipe."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,7 +81,7 @@ def sections(grid):
     theta = theta + LEAN * np.clip(grid.z, -10, 10) / RADIUS
     z = np.broadcast_to(grid.z, theta.shape)
     r = true_radius(theta, z) + rng.normal(0, LASER_STD, theta.shape)
-    return LaserSections(r, theta, z, np.full(r.shape, LASER_STD), -theta[:, 0])
+    return LaserSections(r, theta, z, np.full(r.shape, LASER_STD), -theta[:, 0], 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +197,7 @@ def test_a_slot_is_closed_where_its_section_lost_the_line(grid, view, sections, 
     lost = np.abs(grid.z - 1.0) < 1.1 * STEP
     r = sections.r.copy()
     r[4, lost] = np.nan
-    broken = LaserSections(r, sections.theta, sections.z, sections.r_std, sections.encoder)
+    broken = replace(sections, r=r)
     profile = integrate_capture(iter([view]), broken, surface, grid, 0)
     near = lost[None] & (across(theta, z, SLOTS[1]) < 6) & (across(theta, z, SLOTS[1]) > 3)
     assert near.sum() > 20

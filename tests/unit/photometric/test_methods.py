@@ -9,8 +9,14 @@ from treadlight.photometric.observations import FEW_LEDS, MIN_LEDS, POOR_FIT
 # Unknowns of the model: a normal and k_d; two more for the lobe.
 FEWEST = {"dps": 3, "dps-l1": 3, "nips": 5}
 LAMBERTIAN = ("dps", "dps-l1")
-# k_d, k_s, alpha of what the method is made for; `nips` needs light that `dps` can start from.
-MATERIAL = {"dps": (0.3, 0, 1), "dps-l1": (0.3, 0, 1), "nips": (0.8, 0.4, 20)}
+# k_d, k_s, alpha of what the method is made for; `nips` needs light that `dps` can start from,
+# `map` a ratio k_d / k_s that has a logarithm.
+MATERIAL = {
+    "map": (0.1, 0.4, 30),
+    "dps": (0.3, 0, 1),
+    "dps-l1": (0.3, 0, 1),
+    "nips": (0.8, 0.4, 20),
+}
 
 
 def pixels(analytic, rng, method):

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from treadlight.geometry import Camera, CylinderGrid
-from treadlight.photometric import View, solve_view
+from treadlight.photometric import PhotometrySettings, View, solve_view
 from treadlight.photometric.observations import OUTSIDE, POOR_FIT, SATURATED, SHADOWED
 from treadlight.photometric.view import needed_rows, part_of
 
 ENCODER = 2.5
+SETTINGS = PhotometrySettings()
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +28,15 @@ def view(bench, analytic):
     )
 
 
-def solve(view, bench, r=None, r_std=0.0):
+def solve(view, bench, r=None, r_std=0.0, settings=SETTINGS):
     r = bench.r if r is None else r
-    return solve_view(view, bench.grid, r, np.full(r.shape, r_std), 5)
+    return solve_view(view, bench.grid, r, np.full(r.shape, r_std), settings)
 
 
-def test_a_cylinder_looks_outward_everywhere(view, bench, analytic):
+@pytest.mark.parametrize("method", ["map", "sps"])
+def test_a_cylinder_looks_outward_everywhere(view, bench, analytic, method):
     """Normals within 0.5 degree of e_r, and unbiased: five refinements leave that much of k_d."""
-    found = solve(view, bench)
+    found = solve(view, bench, settings=PhotometrySettings(method))
     seen = (found.quality & OUTSIDE) == 0
     assert seen.mean() > 0.5
     error = analytic.degrees_between(found.normal[seen], np.array([1.0, 0, 0]))
@@ -78,7 +80,7 @@ def test_the_needed_rows_of_a_surface_are_enough(view, bench, analytic, encoder)
     assert len(rows) < len(bench.grid.theta)
     part = part_of(bench.grid, rows)
     every = solve(turned, bench, r)
-    some = solve_view(turned, part, r[rows], 0 * r[rows], 5)
+    some = solve_view(turned, part, r[rows], 0 * r[rows], SETTINGS)
     np.testing.assert_allclose(some.theta, every.theta, atol=1e-6)
     np.testing.assert_allclose(some.r, every.r, atol=1e-4)
     np.testing.assert_array_equal(some.quality & OUTSIDE, every.quality & OUTSIDE)
@@ -89,7 +91,7 @@ def test_a_view_that_sees_nothing_of_a_sector_is_empty(view, bench):
     turned = dataclasses.replace(view, encoder=np.pi)
     rows = needed_rows(turned, grid)
     part = np.full((len(rows), len(grid.z)), 100.0)
-    found = solve_view(turned, part_of(grid, rows), part, 0 * part, 5)
+    found = solve_view(turned, part_of(grid, rows), part, 0 * part, SETTINGS)
     assert (found.quality == OUTSIDE).all()
 
 
@@ -187,7 +189,7 @@ class _Sample:
         return self.leds[k].intensity * cosine ** self.beams[k]["beam_cos_power"] / squared
 
     def solve(self):
-        return solve_view(self.view, self.grid, self.r, np.full(self.r.shape, 0.02), 5)
+        return solve_view(self.view, self.grid, self.r, np.full(self.r.shape, 0.02), SETTINGS)
 
     def normals(self, found):
         from scipy.ndimage import gaussian_filter, map_coordinates

@@ -82,7 +82,11 @@ def integrate_products(
         else:
             usable.append(view)
     sections = integrate.LaserSections(
-        *(laser[name].values for name in ("r", "theta", "z", "r_std", "encoder")),
+        laser.r.values,
+        laser.theta.values,
+        laser.z.values,
+        laser.r_std.values,
+        laser.encoder.values,
         float(laser.attrs["shared_rows"]),
     )
     if not np.isfinite(sections.r).any():

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         metavar="NAME",
-        default="sps",
+        default="map",
         help="an estimator; a name that is none lists them (default: %(default)s)",
     )
     parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")

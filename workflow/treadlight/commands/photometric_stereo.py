@@ -57,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         rig = store.read_rig(args.calibration)
-        view = _read_view(capture, args.view, rig, args.illumination)
+        view = read_view(capture, args.view, rig, args.illumination)
         surface = store.open_store(args.surface)
-        grid = _grid(surface)
+        grid = grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
         rows = needed_rows(view, grid)
         part = surface[["r", "r_std"]].isel(theta=rows).load()
@@ -82,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _grid(surface: "xr.Dataset") -> "CylinderGrid":
+def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
+    """The grid that a surface.zarr or profile.zarr lies on."""
     from treadlight.geometry import CylinderGrid
 
     return CylinderGrid(
@@ -92,7 +93,7 @@ def _grid(surface: "xr.Dataset") -> "CylinderGrid":
     )
 
 
-def _read_view(capture: "Capture", number: int, rig: "Rig", illumination: Path) -> "View":
+def read_view(capture: "Capture", number: int, rig: "Rig", illumination: Path) -> "View":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
 
     Raises

@@ -96,22 +96,24 @@ def confirmed_shares(
             ):
                 mean = np.bincount(place, values / pairs.length) / count
                 into[pairs.axis].append(mean[full])
-    return tuple(
-        _share(np.concatenate(x), np.concatenate(y)) if x else 1.0
-        for x, y in zip(ours, theirs, strict=True)
-    )  # type: ignore[return-value]
+    if not fields:
+        return 1.0, 1.0
+    along, across = (
+        _share(np.concatenate(x), np.concatenate(y)) for x, y in zip(ours, theirs, strict=True)
+    )
+    return along, across
 
 
 def _share(ours: np.ndarray, theirs: np.ndarray) -> float:
     """Slope of a regression through the origin over what is usual in both, in [0, 1]."""
+    if len(ours) < _LEAST_GROUPS:
+        return 1.0
     usual = np.ones(len(ours), bool)
     for values in (ours, theirs):
         usual &= np.abs(values) < _TRIM * 1.4826 * np.median(np.abs(values)) + 1e-12
-    if usual.sum() < _LEAST_GROUPS:
-        return 1.0
     x, y = ours[usual], theirs[usual]
     power = float(x @ x)
-    if power == 0:
+    if len(x) < _LEAST_GROUPS or power == 0:
         return 1.0
     share = float(x @ y) / power
     # On the side of the light: one standard error more than the best estimate.

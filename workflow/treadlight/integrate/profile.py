@@ -41,7 +41,7 @@ class LaserSections:
     z: np.ndarray
     r_std: np.ndarray
     encoder: np.ndarray
-    shared_rows: float = 1.0
+    shared_rows: float
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ _E1, _E2, _E3, _E4, _E5, _E6 = (np.float32(LN2**k / math.factorial(k)) for k in 
 
 
 @njit(cache=True, inline="always")
-def _exp2(x):
+def exp2(x):
     """2^x for -40 <= x <= 0 to 2e-6, as (2^(x/32))^32: no exponent bits to assemble."""
     f = x * np.float32(1 / 32)
     p = np.float32(1.0) + f * (_E1 + f * (_E2 + f * (_E3 + f * (_E4 + f * (_E5 + f * _E6)))))
@@ -177,7 +177,7 @@ def _powers(w, x, s, y):
     """y = w exp2(s x)."""
     for m in range(x.shape[0]):
         for p in range(PIXELS):
-            y[m, p] = w[m, p] * _exp2(x[m, p] * s[p])
+            y[m, p] = w[m, p] * exp2(x[m, p] * s[p])
 
 
 @njit(cache=True, fastmath=_FAST)

@@ -4,7 +4,14 @@ import numpy as np
 
 from treadlight.photometric import map_kernels
 from treadlight.photometric.material import Material, fit, learn_material
-from treadlight.photometric.observations import FEW_LEDS, MIN_LEDS, POOR_FIT, Estimate, Observations
+from treadlight.photometric.observations import (
+    FEW_LEDS,
+    MIN_LEDS,
+    POOR_FIT,
+    WORST_RAD2,
+    Estimate,
+    Observations,
+)
 
 
 def map_normals(observations: Observations, *, material: Material | None = None) -> Estimate:
@@ -38,9 +45,9 @@ def map_normals(observations: Observations, *, material: Material | None = None)
     nothing = ~np.isfinite(normal[:, 0])
     flags = np.where(nothing & (used >= MIN_LEDS), POOR_FIT, np.uint8(0))
     flags |= np.where(used < MIN_LEDS, FEW_LEDS, np.uint8(0))
-    k_d, k_s, alpha, residual = found[:, map_kernels.KD : map_kernels.RESIDUAL + 1].T.astype(
-        np.float32
-    )
+    columns = found[:, map_kernels.KD : map_kernels.RESIDUAL + 1].T
+    k_d, k_s, alpha, residual = columns.astype(np.float32)
+    covariance = found[:, map_kernels.CXX : map_kernels.CXX + 6]
     return Estimate(
         normal=normal,
         k_d=k_d,
@@ -49,5 +56,5 @@ def map_normals(observations: Observations, *, material: Material | None = None)
         residual=residual,
         leds_used=used.astype(np.uint8),
         flags=flags.astype(np.uint8),
-        covariance=found[:, map_kernels.CXX : map_kernels.CXX + 6].astype(np.float32),
+        covariance=np.clip(covariance, -WORST_RAD2, WORST_RAD2).astype(np.float32),
     )

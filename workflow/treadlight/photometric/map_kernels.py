@@ -1,8 +1,9 @@
 """Maximum a posteriori fit of the full reflection model, many pixels side by side, compiled.
 
-Pixels lie in lanes: every loop runs over `_LANES` pixels of one LED, without a branch, a library
-call or two rows that could overlap, so that the compiler vectorises it. A block of pixels needs
-some 40 KiB, and an evaluation of the model with its normal equations about 90 operations per
+Pixels lie in lanes: every loop runs over `_LANES` pixels of one LED, without a branch or a library
+call, over rows whose places in flat arrays are constants, so that the compiler sees that no two
+overlap, and vectorises. A block of pixels needs
+some 20 KiB, and an evaluation of the model with its normal equations about 130 operations per
 pixel and LED.
 
 The starts come from a dictionary: the intensities that the region's usual material would show at
@@ -15,7 +16,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from treadlight.photometric.kernels import _exp2
+from treadlight.photometric.kernels import invert
+from treadlight.photometric.lanes import exp2
 
 # Columns of the result. The last five: posterior of (ln alpha, ln k_d/k_s).
 NX, NY, NZ, KD, KS, ALPHA, RESIDUAL, LEDS, COST, CXX = *range(9), 9
@@ -26,8 +28,11 @@ _LANES = 32
 # Pixels that one thread takes at a time.
 _RUN = 32 * _LANES
 _STARTS = 3
-# Steps from each start, and from the best of them on.
+# Steps from each start, and at each level of misfit from the best of them on.
 _FIRST_STEPS, _STEPS = 5, 12
+# Misfit that the starts are given: the robust cost is flat where residuals are far beyond it. Then
+# it falls by this factor down to what it is (graduated non-convexity).
+_FIRST_MISFIT2, _FALL2 = np.float32(0.1**2), np.float32(1 / 4.0**2)
 # Widest angle between a normal and the view in the dictionary: 75 degrees.
 WIDEST = math.radians(75.0)
 # Starts nearer than 25 degrees to a better one lead to the same minimum.
@@ -52,8 +57,7 @@ def _rows(count: int) -> range:
     return range(0, count * _LANES, _LANES)
 
 
-# A block's arrays are flat, and their rows' places constants: so the compiler sees that no two
-# rows overlap. State: the normal, k_s, k_d / k_s, alpha, the logarithms of the last two.
+# State: the normal, k_s, k_d / k_s, alpha, the logarithms of the last two.
 _X, _Y, _Z, _KS, _RATIO, _AL, _LA, _LR = _rows(8)
 _STATE = 8 * _LANES
 # Two unit vectors across the normal.
@@ -94,7 +98,7 @@ def _log2(x):
 @njit(cache=True, error_model="numpy", inline="always")
 def _exp(x):
     """e^x for |x| <= 1 to 1e-6."""
-    y = _exp2(np.float32(-abs(x)) * _LOG2E)
+    y = exp2(np.float32(-abs(x)) * _LOG2E)
     return y if x < 0 else _ONE / y
 
 
@@ -124,7 +128,7 @@ def _shade(led, state, work):
         lit = _ONE if nl > 0 else np.float32(0.0)
         power = _log2(min(nh, _ONE))
         alpha = state[_AL + k]
-        gloss = state[_KS + k] * _exp2(max(alpha * power, _DARKEST)) * lit
+        gloss = state[_KS + k] * exp2(max(alpha * power, _DARKEST)) * lit
         work[_GLOSS + k] = gloss
         work[_DIFFUSE + k] = work[_KD + k] * nl * lit
         work[_POWER + k] = power
@@ -367,7 +371,7 @@ def _show(led, normals, alpha, ratio, shown, power):
         nl = lx * nx + ly * ny + lz * nz
         nh = min(max(hx * nx + hy * ny + hz * nz, _LEAST_NH), _ONE)
         lit = _ONE if nl > 0 else np.float32(0.0)
-        shown[j] = lit * (_exp2(max(alpha * _log2(nh), _DARKEST)) + ratio * nl)
+        shown[j] = lit * (exp2(max(alpha * _log2(nh), _DARKEST)) + ratio * nl)
     for j in range(DIRECTIONS):
         power[j] = shown[j] * shown[j]
 
@@ -433,23 +437,6 @@ def _start(state, lane, normal, strength, prior):
 
 
 @njit(cache=True, error_model="numpy")
-def _invert(a):
-    """Inverse of a symmetric positive matrix, in place (Gauss and Jordan)."""
-    n = a.shape[0]
-    for k in range(n):
-        pivot = 1.0 / max(a[k, k], 1e-30)
-        a[k, k] = 1.0
-        for j in range(n):
-            a[k, j] *= pivot
-        for i in range(n):
-            if i != k:
-                factor = a[i, k]
-                a[i, k] = 0.0
-                for j in range(n):
-                    a[i, j] -= factor * a[k, j]
-
-
-@njit(cache=True, error_model="numpy")
 def _rerender(leds, lane, state, noise, out):
     """Mean relative error (eq. 5.30) over LEDs above three sigma, and how many LEDs there are."""
     used, bright, relative = 0, 0, 0.0
@@ -465,7 +452,7 @@ def _rerender(leds, lane, state, noise, out):
         model = np.float32(0.0)
         if nl > 0:
             power = state[_AL + lane] * _log2(min(max(nh, _LEAST_NH), _ONE))
-            model = state[_KS + lane] * (_exp2(max(power, _DARKEST)) + state[_RATIO + lane] * nl)
+            model = state[_KS + lane] * (exp2(max(power, _DARKEST)) + state[_RATIO + lane] * nl)
         light = led[_LIGHT + lane]
         if light > 3 * noise[m]:
             relative += abs(light - model) / light
@@ -494,7 +481,7 @@ def _report(lane, view, state, t, eq, matrix, out):
             row += _LANES
         # Where nothing tells a parameter, its variance is large, not infinite.
         matrix[i, i] += 1e-6
-    _invert(matrix)
+    invert(matrix)
     at = CXX
     for i in range(3):
         for j in range(i, 3):
@@ -573,7 +560,8 @@ def _fit_run(intensity, lights, views, usable, noise, base, far, prior, misfit2,
     matrix = np.zeros((5, 5))
     for first in range(begin, end, _LANES):
         count = min(_LANES, end - first)
-        _gather(intensity, noise, usable, lights, views, first, count, misfit2, leds)
+        level2 = max(misfit2, _FIRST_MISFIT2)
+        _gather(intensity, noise, usable, lights, views, first, count, level2, leds)
         _choose_starts(leds, lights, views, first, count, base, far, prior, first_steps,
                        place, normals, book, square)  # fmt: skip
         least[:] = np.float32(np.inf)
@@ -586,7 +574,12 @@ def _fit_run(intensity, lights, views, usable, noise, base, far, prior, misfit2,
                 better[k] = _ONE if eq[_COST + k] < least[k] else np.float32(0.0)
             _choose(better, state, best)
             _choose(better, eq[_COST : _COST + _LANES], least)
-        _descend(leds, best, t, work, prior, step, trial, eq, eq_trial, _STEPS)
+        while True:
+            level2 = max(misfit2, level2 * _FALL2)
+            _gather(intensity, noise, usable, lights, views, first, count, level2, leds)
+            _descend(leds, best, t, work, prior, step, trial, eq, eq_trial, _STEPS)
+            if level2 <= misfit2:
+                break
         _tangents(best, t)
         for k in range(count):
             out[first + k, :] = np.nan

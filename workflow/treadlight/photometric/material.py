@@ -63,15 +63,13 @@ def fit(observations: Observations, material: Material) -> np.ndarray:
     out = np.empty((observations.intensity.shape[1], map_kernels.RESULTS))
     base = _directions()
     far = (base @ base.T < map_kernels.APART).astype(np.float32)
-    arrays = (
-        observations.intensity,
-        observations.lights,
-        observations.views,
-        observations.usable,
-        observations.noise,
-    )
+    # One memory layout and type: the kernel is then compiled once.
     map_kernels.fit_pixels(
-        *(np.ascontiguousarray(a) for a in arrays),
+        np.ascontiguousarray(observations.intensity, np.float32),
+        np.ascontiguousarray(observations.lights, np.float32),
+        np.ascontiguousarray(observations.views, np.float32),
+        np.ascontiguousarray(observations.usable, np.bool_),
+        np.ascontiguousarray(observations.noise, np.float32),
         base,
         far,
         material.prior,
@@ -119,9 +117,11 @@ def _spread(observations: Observations, count: int) -> Observations:
     pixels = np.flatnonzero(lit > _FITTED)
     pixels = pixels[:: max(1, len(pixels) // count)]
     return Observations(
-        *(a[:, pixels] for a in (observations.intensity, observations.lights)),
+        observations.intensity[:, pixels],
+        observations.lights[:, pixels],
         observations.views[pixels],
-        *(a[:, pixels] for a in (observations.usable, observations.noise)),
+        observations.usable[:, pixels],
+        observations.noise[:, pixels],
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from treadlight.photometric.dps import dps, dps_l1
+from treadlight.photometric.map import map_normals
 from treadlight.photometric.nips import nips
 from treadlight.photometric.observations import Estimate, Observations
 from treadlight.photometric.sps import sps
@@ -11,6 +12,7 @@ from treadlight.photometric.sps import sps
 Method = Callable[[Observations], Estimate]
 
 METHODS: Mapping[str, Method] = {
+    "map": map_normals,
     "sps": sps,
     "sps-2": partial(sps, algorithm=2),
     "sps-3": partial(sps, algorithm=3),

@@ -6,6 +6,8 @@ import numpy as np
 
 # Fewer equations than this leave the gloss model's normal, strength and width undetermined.
 MIN_LEDS = 4
+# An angle cannot be more uncertain than this, whatever a linear propagation says.
+WORST_RAD2 = (np.pi / 2) ** 2
 
 FLAGS = ("outside", "shadowed", "saturated", "few_leds", "poor_fit")
 OUTSIDE, SHADOWED, SATURATED, FEW_LEDS, POOR_FIT = (np.uint8(1 << k) for k in range(5))

@@ -6,13 +6,19 @@ from typing import Literal
 import numpy as np
 
 from treadlight.photometric import kernels
-from treadlight.photometric.observations import FEW_LEDS, MIN_LEDS, POOR_FIT, Estimate, Observations
+from treadlight.photometric.observations import (
+    FEW_LEDS,
+    MIN_LEDS,
+    POOR_FIT,
+    WORST_RAD2,
+    Estimate,
+    Observations,
+)
 
 Algorithm = Literal[2, 3, 4]
 
 MAX_REFINEMENTS = 5
 _CONVERGED_RAD = math.radians(0.001)
-_WORST_RAD2 = (math.pi / 2) ** 2
 # Five parameters absorb much of a pixel's misfit, so what is left of it says little of its
 # error: the region's counts more than the pixel's sixteen or so LEDs.
 _PRIOR_WEIGHT = 20.0
@@ -65,8 +71,7 @@ def sps(
     nothing = ~np.isfinite(normal[:, 0])
     flags = np.where(nothing & (used >= MIN_LEDS), POOR_FIT, np.uint8(0))
     flags |= np.where(used < MIN_LEDS, FEW_LEDS, np.uint8(0))
-    # An angle cannot be more uncertain than this, whatever the linear propagation says.
-    found[:, kernels.CXX :] = np.clip(found[:, kernels.CXX :], -_WORST_RAD2, _WORST_RAD2)
+    found[:, kernels.CXX :] = np.clip(found[:, kernels.CXX :], -WORST_RAD2, WORST_RAD2)
     k_d, k_s, alpha, residual = found[:, kernels.KD : kernels.RESIDUAL + 1].T.astype(np.float32)
     return Estimate(
         normal=normal,

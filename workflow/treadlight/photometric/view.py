@@ -140,6 +140,12 @@ def solve_view(
     return replace(found, normal_cov=found.normal_cov * np.float32(scale**2))
 
 
+def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
+    """All pixels of a view as `solve_view` gives them to its method, row by row."""
+    patch = scene.cut_patch(grid, r, r_std, view.encoder, _seen_angles(view, r))
+    return _observe(view, patch, _obstacles(patch), np.arange(view.intensity[0].size))[0]
+
+
 def _estimator(
     sample: Observations, settings: PhotometrySettings
 ) -> Callable[[Observations], Estimate]:

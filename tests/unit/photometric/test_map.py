@@ -1,0 +1,113 @@
+"""The default estimator: one material learned from the region, normals where no lobe is seen."""
+
+import numpy as np
+import pytest
+
+from treadlight.photometric import map_normals, sps
+from treadlight.photometric.material import fit, learn_material, rerender
+from treadlight.photometric.observations import Observations
+
+
+def hemisphere(analytic, count=2500, widest=60.0):
+    """Normals all over a hemisphere within an angle of the view, (n, 3)."""
+    side = int(np.sqrt(count))
+    x, y = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side))
+    inside = np.hypot(x, y) < np.sin(np.radians(widest))
+    x, y = x[inside], y[inside]
+    return np.stack([np.sqrt(1 - x**2 - y**2), x, y], axis=1)
+
+
+@pytest.mark.parametrize("ratio", [0.01, 0.1, 1.0, 10.0])
+@pytest.mark.parametrize("alpha", [15, 40, 120])
+def test_normals_are_found_where_no_led_shows_the_highlight(analytic, alpha, ratio):
+    """The rig's rings light lobes up to 17 degrees from the view: far beyond, sps guesses."""
+    normals, lights = hemisphere(analytic), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.3 * ratio, 0.3, alpha)
+    observations = analytic.observe(np.round(intensity * 65535) / 65535, lights)
+    found = analytic.degrees_between(map_normals(observations).normal, normals)
+    known = np.isfinite(found)
+    # Where no LED lights more than quantisation nothing can be known.
+    assert known.mean() > 0.9
+    assert np.median(found[known]) < 0.1
+    assert np.mean(found[known]) < 1.5
+    assert np.nanmean(found) < 0.5 * np.nanmean(
+        analytic.degrees_between(sps(observations).normal, normals)
+    )
+
+
+def test_the_material_of_the_region_is_learned(analytic, rng):
+    """Its mean, its spread and the noise, from pixels of which none knows all."""
+    normals, lights = hemisphere(analytic), analytic.two_rings()
+    spread = rng.multivariate_normal([0, 0], [[0.04, 0.01], [0.01, 0.09]], len(normals))
+    alpha, ratio = 30 * np.exp(spread[:, 0]), 0.4 * np.exp(spread[:, 1])
+    intensity = np.concatenate(
+        [
+            analytic.blinn_phong(n[None], lights, 0.3 * q, 0.3, a)
+            for n, a, q in zip(normals, alpha, ratio, strict=True)
+        ],
+        axis=1,
+    )
+    intensity = intensity * (1 + 0.02 * rng.standard_normal(intensity.shape))
+    found = learn_material(analytic.observe(intensity, lights))
+    np.testing.assert_allclose(found.mean, np.log([30, 0.4]), atol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), [0.2, 0.3], rtol=0.35)
+    assert 0.005 < found.misfit < 0.03
+
+
+def test_covariance_tells_the_errors(analytic, rng):
+    """The share of tilts within one and two standard deviations; only noise is in the errors."""
+    normals, lights = hemisphere(analytic, widest=40.0), analytic.two_rings()
+    clean = analytic.blinn_phong(normals, lights, 0.1, 0.3, 30)
+    noise = 0.03 * np.sqrt(0.5 * (clean**2 + clean.max(axis=0) ** 2))
+    found = map_normals(analytic.observe(clean + noise * rng.standard_normal(clean.shape), lights))
+    axis = np.array([0.0, 1.0, 0.0])
+    across = axis - normals[:, :1] * normals
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    upper = np.zeros((len(normals), 3, 3))
+    upper[:, *np.triu_indices(3)] = found.covariance
+    full = upper + np.triu(upper, 1).transpose(0, 2, 1)
+    std = np.sqrt(np.einsum("ni,nij,nj->n", across, full, across))
+    ratio = np.abs(np.sum((found.normal - normals) * across, axis=1)) / std
+    assert np.mean(ratio < 1) == pytest.approx(0.683, abs=0.12)
+    assert np.mean(ratio < 2) == pytest.approx(0.954, abs=0.06)
+
+
+def test_a_shadow_that_nobody_knew_of_counts_little(analytic, rng):
+    normals, lights = analytic.tilted(rng, 400, 0.3), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
+    intensity[rng.integers(16, size=400), np.arange(400)] = 0.0
+    found = map_normals(analytic.observe(intensity, lights))
+    error = analytic.degrees_between(found.normal, normals)
+    assert np.median(error) < 0.3
+    assert np.percentile(error, 95) < 3
+
+
+def test_a_pixel_does_not_depend_on_its_neighbours(analytic, rng):
+    """Nor on how many are solved at a time; given the material."""
+    normals, lights = analytic.tilted(rng, 150, 0.3), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
+    intensity *= 1 + 0.02 * rng.standard_normal(intensity.shape)
+    whole = analytic.observe(intensity, lights)
+    material = learn_material(whole)
+    some = slice(37, 101)
+    part = Observations(
+        whole.intensity[:, some],
+        whole.lights[:, some],
+        whole.views[some],
+        whole.usable[:, some],
+        whole.noise[:, some],
+    )
+    together = map_normals(whole, material=material).normal[some]
+    np.testing.assert_array_equal(map_normals(part, material=material).normal, together)
+
+
+def test_rerendering_is_what_the_residual_says(analytic, rng):
+    normals, lights = analytic.tilted(rng, 100, 0.3), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
+    intensity *= 1 + 0.05 * rng.standard_normal(intensity.shape)
+    observations = analytic.observe(intensity, lights)
+    material = learn_material(observations)
+    shown = rerender(observations, fit(observations, material))
+    expected = np.mean(np.abs(shown - intensity) / intensity, axis=0)
+    residual = map_normals(observations, material=material).residual
+    np.testing.assert_allclose(residual, expected, rtol=1e-3)
