@@ -166,6 +166,7 @@ def test_a_tilted_normal_is_off_by_its_tilt(truth):
     theta, z = np.meshgrid(truth.theta[5:-5], truth.z[5:-5], indexing="ij")
     true = surface.true_normals(truth, 0.7 * 0.4)[5:-5, 5:-5]
     view = np.broadcast_to([1.0, 0, 0], true.shape)
+    tops = surface.classify(truth, surface.outer_envelope(truth))["top"][5:-5, 5:-5, None]
     exact = metrics.normal_figures(truth, theta, z, true, view, 0.4)
     assert exact["p95_deg"] < 1e-4
     assert exact["coverage"] == 1.0
@@ -177,6 +178,9 @@ def test_a_tilted_normal_is_off_by_its_tilt(truth):
     found = metrics.normal_figures(truth, theta, z, tilted, view, 0.4)
     assert found["median_deg"] == pytest.approx(5.0, abs=1e-4)
     assert found["rms_deg"] == pytest.approx(5.0, abs=1e-4)
+    assert found["mean_deg"] == pytest.approx(5.0, abs=1e-4)
+    mixed = metrics.normal_figures(truth, theta, z, np.where(tops, true, tilted), view, 0.4)
+    assert mixed["top_median_deg"] < 1e-4
     assert found["coverage"] == pytest.approx(0.5, abs=0.02)
 
 

@@ -171,7 +171,7 @@ def normals(path, out, *options):
     return main(["normals", str(path), "--out", str(out), "--threads", "2", *options])
 
 
-def test_normals_of_a_stack_are_found_and_held_against_truth(analytic, rng, tmp_path, capsys):
+def test_normals_of_a_stack_are_found_and_held_against_truth(analytic, tmp_path, capsys):
     stack = stack_file(tmp_path / "s.npz", analytic, mask=np.arange(40) < 30 + np.zeros((48, 1)))
     assert normals(tmp_path / "s.npz", tmp_path / "o.npz") == 0
     said = capsys.readouterr().out
@@ -196,7 +196,7 @@ def test_near_lights_and_colours_are_undone(analytic, rng, tmp_path):
     strength = rng.uniform(0.5, 2, (16, 3))
     images = (2000 * shading[..., None] * strength[:, None, None]).astype(np.uint16)
     stack_file(
-        tmp_path / "s.npz", analytic, rng, images=images, light_directions=None, normals=None,
+        tmp_path / "s.npz", analytic, images=images, light_directions=None, normals=None,
         light_positions=positions, points=points, light_intensities=strength,
         view=np.broadcast_to([0, 0, 2.0], (48, 40, 3)),
     )  # fmt: skip
@@ -214,7 +214,7 @@ def test_near_lights_and_colours_are_undone(analytic, rng, tmp_path):
     ],
 )
 def test_a_stack_that_is_wrong_is_said_in_one_sentence(
-    analytic, rng, tmp_path, capsys, changes, sentence
+    analytic, tmp_path, capsys, changes, sentence
 ):
     stack_file(tmp_path / "s.npz", analytic, **changes)
     assert normals(tmp_path / "s.npz", tmp_path / "o.npz") == 2
@@ -239,7 +239,7 @@ def test_least_squares_on_real_stacks_gives_the_published_error(
     assert float(said.split("mean ")[1].split(",")[0]) == pytest.approx(mean, abs=0.05)
 
 
-def test_a_method_that_is_none_is_said_with_those_there_are(analytic, rng, tmp_path, capsys):
+def test_a_method_that_is_none_is_said_with_those_there_are(analytic, tmp_path, capsys):
     stack_file(tmp_path / "s.npz", analytic)
     assert normals(tmp_path / "s.npz", tmp_path / "o.npz", "--method", "magic") == 2
     said = capsys.readouterr().err

@@ -8,9 +8,11 @@ from scipy import ndimage
 from treadlight.evaluate.surface import (
     CLASSES,
     Surface,
+    classify,
     interpolate_at,
     look_up,
     masked_mean,
+    outer_envelope,
     true_normals,
 )
 from treadlight.evaluate.truth import Profile
@@ -282,15 +284,26 @@ def normal_figures(
         facing = np.sum(true * towards_camera, axis=-1) / length > _MIN_FACING
         cosine = np.sum(true * normal, axis=-1) / (length * np.linalg.norm(normal, axis=-1))
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[facing]
-    finite = angle[np.isfinite(angle)]
+    known = np.isfinite(angle)
+    finite = angle[known]
     if not finite.size:
-        return {"median_deg": None, "rms_deg": None, "p95_deg": None, "coverage": None}
+        names = ("mean_deg", "median_deg", "top_median_deg", "rms_deg", "p95_deg", "coverage")
+        return dict.fromkeys(names)
+    top = finite[_on_tops(truth, theta[facing][known], z[facing][known])]
     return {
+        "mean_deg": float(np.mean(finite)),
         "median_deg": float(np.median(finite)),
+        "top_median_deg": float(np.median(top)) if top.size else None,
         "rms_deg": float(np.sqrt(np.mean(finite**2))),
         "p95_deg": float(np.percentile(finite, 95)),
         "coverage": finite.size / angle.size,
     }
+
+
+def _on_tops(truth: Profile, theta: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Whether scattered points (n,) lie on block tops."""
+    top = classify(truth, outer_envelope(truth))["top"]
+    return interpolate_at(truth, top.astype(float), theta, z) > 0.5
 
 
 def towards_camera(

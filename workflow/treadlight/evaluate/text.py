@@ -74,8 +74,16 @@ def _capture_rows(figures: dict[str, Any]) -> Iterable[tuple[str, str]]:
     yield "truth on the grid", shares
     yield "edges found", f"{_percent(edges['found'])} of {edges['edges']}"
     for name, normal in figures.get("normals", {}).items():
-        text = f"median {_number(normal['median_deg'])} deg, p95 {_number(normal['p95_deg'])} deg"
-        yield f"normals {name}", f"{text}, coverage {_percent(normal['coverage'])}"
+        angles = ", ".join(
+            f"{label} {_number(normal[f'{key}_deg'])}"
+            for label, key in (
+                ("mean", "mean"),
+                ("median", "median"),
+                ("on tops", "top_median"),
+                ("p95", "p95"),
+            )
+        )
+        yield f"normals {name}", f"{angles} deg, coverage {_percent(normal['coverage'])}"
     for name, std in figures.get("r_std", {}).items():
         yield f"r_std on {name}", _inside(std)
     if seams := figures.get("seams"):
