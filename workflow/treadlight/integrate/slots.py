@@ -205,6 +205,8 @@ def _tilt(slope: np.ndarray, window: int) -> np.ndarray:
     total = np.zeros(slope.shape[1:], np.float32)
     for component in slope:
         known = np.isfinite(component)
+        # A shoulder is steep all around the tire, a cut's wall is not.
+        component = component - _usual_of_columns(component)
         tread = known & (np.abs(component) < _WALL_SLOPE)
         if not tread.any():
             continue
@@ -212,6 +214,14 @@ def _tilt(slope: np.ndarray, window: int) -> np.ndarray:
         usual = _MAD_TO_STD * np.median(np.abs(deviation[tread])) + 1e-12
         total += np.where(known, np.minimum((deviation / usual) ** 2, _MOST_TILTED), 0)
     return total
+
+
+def _usual_of_columns(values: np.ndarray) -> np.ndarray:
+    """Median of each column (m,); 0 where nothing is known."""
+    usual = np.zeros(values.shape[1], np.float32)
+    seen = np.isfinite(values).any(axis=0)
+    usual[seen] = np.nanmedian(values[:, seen], axis=0)
+    return usual
 
 
 def _local_mean(values: np.ndarray, tread: np.ndarray, window: int) -> np.ndarray:
