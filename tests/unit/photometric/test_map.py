@@ -82,13 +82,16 @@ def test_a_shadow_that_nobody_knew_of_counts_little(analytic, rng):
     assert np.percentile(error, 95) < 3
 
 
-def test_a_pixel_does_not_depend_on_its_neighbours(analytic, rng):
-    """Nor on how many are solved at a time; given the material."""
+@pytest.mark.parametrize("dark", [slice(0), slice(0, None, 8), slice(0, 90)])
+def test_a_pixel_does_not_depend_on_its_neighbours(analytic, rng, dark):
+    """Nor on how many are solved at a time, or on neighbours without light; given the material."""
     normals, lights = analytic.tilted(rng, 150, 0.3), analytic.two_rings()
     intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
     intensity *= 1 + 0.02 * rng.standard_normal(intensity.shape)
-    whole = analytic.observe(intensity, lights)
-    material = learn_material(whole)
+    material = learn_material(analytic.observe(intensity, lights))
+    usable = np.ones(intensity.shape, bool)
+    usable[:, dark] = False
+    whole = analytic.observe(intensity, lights, usable)
     some = slice(37, 101)
     part = Observations(
         whole.intensity[:, some],

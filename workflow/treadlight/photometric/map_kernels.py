@@ -352,14 +352,19 @@ def _gather(intensity, noise, usable, lights, views, first, count, misfit2, leds
 
 @njit(cache=True, error_model="numpy")
 def _differs(leds, lane, place):
-    """Whether a lane's usable LEDs stand elsewhere than those the dictionary was made for."""
+    """Whether a lane's usable LEDs stand elsewhere than those the dictionary was made for.
+
+    1 if so, 0 if not, -1 if none is usable.
+    """
+    found = -1
     for m in range(place.shape[0]):
         at = m * _LED + lane
         if leds[at + _SHARP] > 0:
+            found = 0
             for c in range(6):
                 if not abs(leds[at + c * _LANES] - place[m, c]) <= _ALIKE:
-                    return True
-    return False
+                    return 1
+    return found
 
 
 @njit(cache=True, error_model="numpy")
@@ -504,11 +509,17 @@ def _choose_starts(
     up, down = np.empty(DIRECTIONS, np.float32), np.empty(DIRECTIONS, np.float32)
     begin[:] = np.float32(0.0)
     begin[:, :, 2] = _ONE
+    looked = False
     for k in range(count):
-        if k % _LOOK == 0 and _differs(leds, k, place):
-            _make_dictionary(
-                lights[:, first + k], views[first + k], base, prior, place, normals, book, square
-            )
+        looked &= k % _LOOK > 0
+        if not looked:
+            differs = _differs(leds, k, place)
+            looked = differs >= 0
+            if differs > 0:
+                _make_dictionary(
+                    lights[:, first + k], views[first + k], base, prior, place, normals, book,
+                    square,
+                )  # fmt: skip
         _match(leds, k, book, square, up, down)
         for s in range(_STARTS):
             best = _best(up)
@@ -554,9 +565,9 @@ def _fit_run(intensity, lights, views, usable, noise, base, far, prior, misfit2,
     eq, eq_trial = np.zeros(_EQUATIONS, np.float32), np.zeros(_EQUATIONS, np.float32)
     step, least = np.zeros(_STEP, np.float32), np.empty(_LANES, np.float32)
     first_steps = np.empty((_STARTS, _LANES, 4), np.float32)
-    place, normals = np.full((n_leds, 6), np.nan, np.float32), np.empty((DIRECTIONS, 3), np.float32)
-    book = np.empty((n_leds, DIRECTIONS), np.float32)
-    square = np.empty((n_leds, DIRECTIONS), np.float32)
+    place, normals = np.full((n_leds, 6), np.nan, np.float32), np.zeros((DIRECTIONS, 3), np.float32)
+    book = np.zeros((n_leds, DIRECTIONS), np.float32)
+    square = np.zeros((n_leds, DIRECTIONS), np.float32)
     matrix = np.zeros((5, 5))
     for first in range(begin, end, _LANES):
         count = min(_LANES, end - first)
@@ -565,6 +576,8 @@ def _fit_run(intensity, lights, views, usable, noise, base, far, prior, misfit2,
         _choose_starts(leds, lights, views, first, count, base, far, prior, first_steps,
                        place, normals, book, square)  # fmt: skip
         least[:] = np.float32(np.inf)
+        # A pixel that no start explains has no normal.
+        best[:] = np.float32(0.0)
         for s in range(_STARTS):
             for k in range(_LANES):
                 _start(state, k, first_steps[s, k], first_steps[s, k, 3], prior)
