@@ -1,14 +1,7 @@
 """Maximum a posteriori fit of the full reflection model, many pixels side by side, compiled.
 
-Pixels lie in lanes: every loop runs over `_LANES` pixels of one LED, without a branch or a library
-call, over rows whose places in flat arrays are constants, so that the compiler sees that no two
-overlap, and vectorises. A block of pixels needs
-some 20 KiB, and an evaluation of the model with its normal equations about 130 operations per
-pixel and LED.
-
-The starts come from a dictionary: the intensities that the region's usual material would show at
-`DIRECTIONS` normals, held against a pixel's with a free amplitude. Neighbouring pixels share one
-dictionary as long as their LEDs stand alike.
+A block of pixels (`map_lanes`) needs some 20 KiB, and an evaluation of the model with its normal
+equations about 130 operations per pixel and LED; a pixel takes some 40 evaluations.
 """
 
 import math
@@ -18,99 +11,74 @@ from numba import njit, prange
 
 from treadlight.photometric.kernels import invert
 from treadlight.photometric.lanes import exp2
+from treadlight.photometric.map_lanes import (
+    DARKEST,
+    HX,
+    HY,
+    HZ,
+    LANES,
+    LEAST_NH,
+    LED,
+    LIGHT,
+    LN2,
+    LX,
+    LY,
+    LZ,
+    ONE,
+    SHARP,
+    exp,
+    log2,
+    rows,
+)
+from treadlight.photometric.map_starts import DIRECTIONS, STARTS, choose_starts
 
 # Columns of the result. The last five: posterior of (ln alpha, ln k_d/k_s).
 NX, NY, NZ, KD, KS, ALPHA, RESIDUAL, LEDS, COST, CXX = *range(9), 9
 LOG_ALPHA, LOG_RATIO, CAA, CAR, CRR, RESULTS = *range(15, 20), 20
 
-DIRECTIONS = 128
-_LANES = 32
 # Pixels that one thread takes at a time.
-_RUN = 32 * _LANES
-_STARTS = 3
+_RUN = 32 * LANES
 # Steps from each start, and at each level of misfit from the best of them on.
 _FIRST_STEPS, _STEPS = 5, 12
 # Misfit that the starts are given: the robust cost is flat where residuals are far beyond it. Then
 # it falls by this factor down to what it is (graduated non-convexity).
 _FIRST_MISFIT2, _FALL2 = np.float32(0.1**2), np.float32(1 / 4.0**2)
-# Widest angle between a normal and the view in the dictionary: 75 degrees.
-WIDEST = math.radians(75.0)
-# Starts nearer than 25 degrees to a better one lead to the same minimum.
-APART = math.cos(math.radians(25.0))
-# A dictionary serves pixels whose LEDs stand within 3 degrees; every so many pixels are looked at.
-_ALIKE = 0.05
-_LOOK = 8
 _DAMPING, _EASE, _BRAKE = np.float32(1e-2), np.float32(0.2), np.float32(6.0)
 _MOST_TILT, _MOST_LOG = np.float32(0.3), np.float32(1.0)
 _LOG_ALPHA_MAX = np.float32(math.log(1024.0))
 _LOG_RATIO_MAX = np.float32(math.log(1e4))
-_LEAST_NH = np.float32(0.02)
-_LN2, _LOG2E = np.float32(math.log(2.0)), np.float32(1 / math.log(2.0))
-_DARKEST = np.float32(-40.0)
 # Geman and McClure's function of the residual: at this many standard deviations a quarter's weight.
 _ROBUST = np.float32(1 / 6.0**2)
-_ONE = np.float32(1.0)
-
-
-def _rows(count: int) -> range:
-    """Where the rows of a flat array of rows begin."""
-    return range(0, count * _LANES, _LANES)
-
 
 # State: the normal, k_s, k_d / k_s, alpha, the logarithms of the last two.
-_X, _Y, _Z, _KS, _RATIO, _AL, _LA, _LR = _rows(8)
-_STATE = 8 * _LANES
+_X, _Y, _Z, _KS, _RATIO, _AL, _LA, _LR = rows(8)
+_STATE = 8 * LANES
 # Two unit vectors across the normal.
-_UX, _UY, _UZ, _VX, _VY, _VZ = _rows(6)
-_TANGENTS = 6 * _LANES
-# One LED: light vector, halfway vector, intensity, 1 / its standard deviation.
-_LX, _LY, _LZ, _HX, _HY, _HZ, _LIGHT, _SHARP = _rows(8)
-_LED = 8 * _LANES
+_UX, _UY, _UZ, _VX, _VY, _VZ = rows(6)
+_TANGENTS = 6 * LANES
 # Normal equations of (two tilts, ln k_s, ln alpha, ln k_d / k_s), and the cost.
 (
     _A00, _A01, _A02, _A03, _A04, _A11, _A12, _A13, _A14, _A22, _A23, _A24, _A33, _A34, _A44,
     _B0, _B1, _B2, _B3, _B4, _COST,
-) = _rows(21)  # fmt: skip
-_EQUATIONS = 21 * _LANES
+) = rows(21)  # fmt: skip
+_EQUATIONS = 21 * LANES
 # One LED's terms in between.
-_GLOSS, _DIFFUSE, _POWER, _SLOPE, _LIT, _MISS, _WEIGHT, _J0, _J1, _KD = _rows(10)
-_WORK = 10 * _LANES
+_GLOSS, _DIFFUSE, _POWER, _SLOPE, _LIT, _MISS, _WEIGHT, _J0, _J1, _KD = rows(10)
+_WORK = 10 * LANES
 # A step of the five parameters, its damping, whether it was taken.
-_S0, _S1, _S2, _S3, _S4, _DAMP, _BETTER = _rows(7)
-_STEP = 7 * _LANES
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _log2(x):
-    """log2 for 0.02 <= x <= 1 to 1e-5: two square roots, then the series of atanh."""
-    y = math.sqrt(math.sqrt(x))
-    t = (y - _ONE) / (y + _ONE)
-    s = t * t
-    p = np.float32(1 / 13) * s + np.float32(1 / 11)
-    p = p * s + np.float32(1 / 9)
-    p = p * s + np.float32(1 / 7)
-    p = p * s + np.float32(1 / 5)
-    p = p * s + np.float32(1 / 3)
-    p = p * s + _ONE
-    return np.float32(8.0) * _LOG2E * t * p
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _exp(x):
-    """e^x for |x| <= 1 to 1e-6."""
-    y = exp2(np.float32(-abs(x)) * _LOG2E)
-    return y if x < 0 else _ONE / y
+_S0, _S1, _S2, _S3, _S4, _DAMP, _BETTER = rows(7)
+_STEP = 7 * LANES
 
 
 @njit(cache=True, error_model="numpy")
 def _tangents(state, t):
     """Two unit vectors across n (Duff et al. 2017, for either sign of n_z)."""
-    for k in range(_LANES):
+    for k in range(LANES):
         x, y, z = state[_X + k], state[_Y + k], state[_Z + k]
-        sign = _ONE if z >= 0 else -_ONE
-        a = -_ONE / (sign + z)
+        sign = ONE if z >= 0 else -ONE
+        a = -ONE / (sign + z)
         b = x * y * a
-        t[_UX + k] = _ONE + sign * x * x * a
+        t[_UX + k] = ONE + sign * x * x * a
         t[_UY + k] = sign * b
         t[_UZ + k] = -sign * x
         t[_VX + k] = b
@@ -121,14 +89,14 @@ def _tangents(state, t):
 @njit(cache=True, error_model="numpy")
 def _shade(led, state, work):
     """k_s (n.h)^alpha, k_d n.l, log2 (n.h) and alpha gloss / n.h of one LED."""
-    for k in range(_LANES):
+    for k in range(LANES):
         x, y, z = state[_X + k], state[_Y + k], state[_Z + k]
-        nl = led[_LX + k] * x + led[_LY + k] * y + led[_LZ + k] * z
-        nh = max(led[_HX + k] * x + led[_HY + k] * y + led[_HZ + k] * z, _LEAST_NH)
-        lit = _ONE if nl > 0 else np.float32(0.0)
-        power = _log2(min(nh, _ONE))
+        nl = led[LX + k] * x + led[LY + k] * y + led[LZ + k] * z
+        nh = max(led[HX + k] * x + led[HY + k] * y + led[HZ + k] * z, LEAST_NH)
+        lit = ONE if nl > 0 else np.float32(0.0)
+        power = log2(min(nh, ONE))
         alpha = state[_AL + k]
-        gloss = state[_KS + k] * exp2(max(alpha * power, _DARKEST)) * lit
+        gloss = state[_KS + k] * exp2(max(alpha * power, DARKEST)) * lit
         work[_GLOSS + k] = gloss
         work[_DIFFUSE + k] = work[_KD + k] * nl * lit
         work[_POWER + k] = power
@@ -139,9 +107,9 @@ def _shade(led, state, work):
 @njit(cache=True, error_model="numpy")
 def _weigh(led, work, eq):
     """Standardised residual, its robust weight, and the cost of one LED."""
-    for k in range(_LANES):
-        r = (led[_LIGHT + k] - work[_GLOSS + k] - work[_DIFFUSE + k]) * led[_SHARP + k]
-        g = _ONE / (_ONE + r * r * _ROBUST)
+    for k in range(LANES):
+        r = (led[LIGHT + k] - work[_GLOSS + k] - work[_DIFFUSE + k]) * led[SHARP + k]
+        g = ONE / (ONE + r * r * _ROBUST)
         work[_MISS + k] = r
         work[_WEIGHT + k] = g * g
         eq[_COST + k] += r * r * g
@@ -150,10 +118,10 @@ def _weigh(led, work, eq):
 @njit(cache=True, error_model="numpy")
 def _tilt(led, t, work):
     """Derivatives of one LED's standardised model by the two tilts."""
-    for k in range(_LANES):
-        lx, ly, lz = led[_LX + k], led[_LY + k], led[_LZ + k]
-        hx, hy, hz = led[_HX + k], led[_HY + k], led[_HZ + k]
-        lit, slope, sharp = work[_LIT + k], work[_SLOPE + k], led[_SHARP + k]
+    for k in range(LANES):
+        lx, ly, lz = led[LX + k], led[LY + k], led[LZ + k]
+        hx, hy, hz = led[HX + k], led[HY + k], led[HZ + k]
+        lit, slope, sharp = work[_LIT + k], work[_SLOPE + k], led[SHARP + k]
         gx, gy, gz = lit * lx + slope * hx, lit * ly + slope * hy, lit * lz + slope * hz
         work[_J0 + k] = (gx * t[_UX + k] + gy * t[_UY + k] + gz * t[_UZ + k]) * sharp
         work[_J1 + k] = (gx * t[_VX + k] + gy * t[_VY + k] + gz * t[_VZ + k]) * sharp
@@ -162,11 +130,11 @@ def _tilt(led, t, work):
 @njit(cache=True, error_model="numpy")
 def _accumulate(led, state, work, eq):
     """Add one LED to the normal equations."""
-    for k in range(_LANES):
-        w, r, sharp = work[_WEIGHT + k], work[_MISS + k], led[_SHARP + k]
+    for k in range(LANES):
+        w, r, sharp = work[_WEIGHT + k], work[_MISS + k], led[SHARP + k]
         gloss, diffuse = work[_GLOSS + k] * sharp, work[_DIFFUSE + k] * sharp
         x0, x1, x2, x4 = work[_J0 + k], work[_J1 + k], gloss + diffuse, diffuse
-        x3 = gloss * state[_AL + k] * work[_POWER + k] * _LN2
+        x3 = gloss * state[_AL + k] * work[_POWER + k] * LN2
         w0, w1, w2, w3, w4 = w * x0, w * x1, w * x2, w * x3, w * x4
         eq[_A00 + k] += w0 * x0
         eq[_A01 + k] += w0 * x1
@@ -193,7 +161,7 @@ def _accumulate(led, state, work, eq):
 @njit(cache=True, error_model="numpy")
 def _add_prior(state, prior, eq):
     mean_a, mean_r, aa, ar, rr = prior[0], prior[1], prior[2], prior[3], prior[4]
-    for k in range(_LANES):
+    for k in range(LANES):
         x, y = state[_LA + k] - mean_a, state[_LR + k] - mean_r
         gx, gy = aa * x + ar * y, ar * x + rr * y
         eq[_A33 + k] += aa
@@ -209,10 +177,10 @@ def _evaluate(leds, state, t, work, prior, eq):
     """Normal equations and cost of a block's state."""
     eq[:] = np.float32(0.0)
     _tangents(state, t)
-    for k in range(_LANES):
+    for k in range(LANES):
         work[_KD + k] = state[_KS + k] * state[_RATIO + k]
-    for m in range(len(leds) // _LED):
-        led = leds[m * _LED : (m + 1) * _LED]
+    for m in range(len(leds) // LED):
+        led = leds[m * LED : (m + 1) * LED]
         _shade(led, state, work)
         _weigh(led, work, eq)
         _tilt(led, t, work)
@@ -223,8 +191,8 @@ def _evaluate(leds, state, t, work, prior, eq):
 @njit(cache=True, error_model="numpy")
 def _solve(eq, step):
     """Steps (A + damping diag A)^-1 b, clipped, by L D L'."""
-    for k in range(_LANES):
-        f = _ONE + step[_DAMP + k]
+    for k in range(LANES):
+        f = ONE + step[_DAMP + k]
         a01, a02, a03, a04 = eq[_A01 + k], eq[_A02 + k], eq[_A03 + k], eq[_A04 + k]
         tiny = np.float32(1e-20) + np.float32(1e-7) * eq[_A22 + k]
         d0 = eq[_A00 + k] * f + tiny
@@ -262,22 +230,22 @@ def _solve(eq, step):
 @njit(cache=True, error_model="numpy")
 def _advance(state, t, step, trial):
     """The state after a step; width and ratio stay within their ranges."""
-    for k in range(_LANES):
+    for k in range(LANES):
         s0, s1 = step[_S0 + k], step[_S1 + k]
         x = state[_X + k] + t[_UX + k] * s0 + t[_VX + k] * s1
         y = state[_Y + k] + t[_UY + k] * s0 + t[_VY + k] * s1
         z = state[_Z + k] + t[_UZ + k] * s0 + t[_VZ + k] * s1
-        inverse = _ONE / math.sqrt(x * x + y * y + z * z)
+        inverse = ONE / math.sqrt(x * x + y * y + z * z)
         trial[_X + k] = x * inverse
         trial[_Y + k] = y * inverse
         trial[_Z + k] = z * inverse
-    for k in range(_LANES):
+    for k in range(LANES):
         la, lr = state[_LA + k], state[_LR + k]
         wide = min(max(step[_S3 + k], -la), _LOG_ALPHA_MAX - la)
         more = min(max(step[_S4 + k], -_LOG_RATIO_MAX - lr), _LOG_RATIO_MAX - lr)
-        trial[_KS + k] = state[_KS + k] * _exp(step[_S2 + k])
-        trial[_AL + k] = state[_AL + k] * _exp(wide)
-        trial[_RATIO + k] = state[_RATIO + k] * _exp(more)
+        trial[_KS + k] = state[_KS + k] * exp(step[_S2 + k])
+        trial[_AL + k] = state[_AL + k] * exp(wide)
+        trial[_RATIO + k] = state[_RATIO + k] * exp(more)
         trial[_LA + k] = la + wide
         trial[_LR + k] = lr + more
 
@@ -285,9 +253,9 @@ def _advance(state, t, step, trial):
 @njit(cache=True, error_model="numpy")
 def _judge(eq, eq_trial, step):
     """Whether a step lowers the cost, and the damping after it."""
-    for k in range(_LANES):
+    for k in range(LANES):
         good = eq_trial[_COST + k] < eq[_COST + k]
-        step[_BETTER + k] = _ONE if good else np.float32(0.0)
+        step[_BETTER + k] = ONE if good else np.float32(0.0)
         damp = step[_DAMP + k] * (_EASE if good else _BRAKE)
         step[_DAMP + k] = min(max(damp, np.float32(1e-6)), np.float32(1e6))
 
@@ -295,16 +263,16 @@ def _judge(eq, eq_trial, step):
 @njit(cache=True, error_model="numpy")
 def _choose(better, new, old):
     """Take the new rows where a step (flags, one per lane) is better."""
-    for row in range(0, len(old), _LANES):
-        into, source = old[row : row + _LANES], new[row : row + _LANES]
-        for k in range(_LANES):
+    for row in range(0, len(old), LANES):
+        into, source = old[row : row + LANES], new[row : row + LANES]
+        for k in range(LANES):
             into[k] = source[k] if better[k] > 0 else into[k]
 
 
 @njit(cache=True, error_model="numpy")
 def _descend(leds, state, t, work, prior, step, trial, eq, eq_trial, steps):
     """Levenberg and Marquardt's steps from `state` on, in place; `eq` is that of the last state."""
-    step[_DAMP : _DAMP + _LANES] = _DAMPING
+    step[_DAMP : _DAMP + LANES] = _DAMPING
     _evaluate(leds, state, t, work, prior, eq)
     for _ in range(steps):
         _solve(eq, step)
@@ -312,7 +280,7 @@ def _descend(leds, state, t, work, prior, step, trial, eq, eq_trial, steps):
         _advance(state, t, step, trial)
         _evaluate(leds, trial, t, work, prior, eq_trial)
         _judge(eq, eq_trial, step)
-        better = step[_BETTER : _BETTER + _LANES]
+        better = step[_BETTER : _BETTER + LANES]
         _choose(better, trial, state)
         _choose(better, eq_trial, eq)
 
@@ -322,15 +290,15 @@ def _gather(intensity, noise, usable, lights, views, first, count, misfit2, leds
     """The LEDs of `count` pixels from `first` on; lanes beyond see nothing."""
     leds[:] = np.float32(0.0)
     n_leds = intensity.shape[0]
-    bright = np.zeros(_LANES, np.float32)
+    bright = np.zeros(LANES, np.float32)
     for m in range(n_leds):
         for k in range(count):
             i = intensity[m, first + k]
             if usable[m, first + k] and i > bright[k]:
                 bright[k] = i
     for m in range(n_leds):
-        led = leds[m * _LED : (m + 1) * _LED]
-        led[_HZ : _HZ + _LANES] = _ONE
+        led = leds[m * LED : (m + 1) * LED]
+        led[HZ : HZ + LANES] = ONE
         for k in range(count):
             i = intensity[m, first + k]
             if not (usable[m, first + k] and i == i):
@@ -341,95 +309,13 @@ def _gather(intensity, noise, usable, lights, views, first, count, misfit2, leds
                 ly + views[first + k, 1],
                 lz + views[first + k, 2],
             )
-            scale = _ONE / math.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
-            led[_LX + k], led[_LY + k], led[_LZ + k] = lx, ly, lz
-            led[_HX + k], led[_HY + k], led[_HZ + k] = hx * scale, hy * scale, hz * scale
+            scale = ONE / math.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
+            led[LX + k], led[LY + k], led[LZ + k] = lx, ly, lz
+            led[HX + k], led[HY + k], led[HZ + k] = hx * scale, hy * scale, hz * scale
             variance = noise[m, first + k] ** 2
             variance += misfit2 * np.float32(0.5) * (i * i + bright[k] * bright[k])
-            led[_LIGHT + k] = i
-            led[_SHARP + k] = _ONE / math.sqrt(max(variance, np.float32(1e-30)))
-
-
-@njit(cache=True, error_model="numpy")
-def _differs(leds, lane, place):
-    """Whether a lane's usable LEDs stand elsewhere than those the dictionary was made for.
-
-    1 if so, 0 if not, -1 if none is usable.
-    """
-    found = -1
-    for m in range(place.shape[0]):
-        at = m * _LED + lane
-        if leds[at + _SHARP] > 0:
-            found = 0
-            for c in range(6):
-                if not abs(leds[at + c * _LANES] - place[m, c]) <= _ALIKE:
-                    return 1
-    return found
-
-
-@njit(cache=True, error_model="numpy")
-def _show(led, normals, alpha, ratio, shown, power):
-    """What one LED shows of unit gloss at all directions, and its square."""
-    lx, ly, lz, hx, hy, hz = led[0], led[1], led[2], led[3], led[4], led[5]
-    for j in range(DIRECTIONS):
-        nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-        nl = lx * nx + ly * ny + lz * nz
-        nh = min(max(hx * nx + hy * ny + hz * nz, _LEAST_NH), _ONE)
-        lit = _ONE if nl > 0 else np.float32(0.0)
-        shown[j] = lit * (exp2(max(alpha * _log2(nh), _DARKEST)) + ratio * nl)
-    for j in range(DIRECTIONS):
-        power[j] = shown[j] * shown[j]
-
-
-@njit(cache=True, error_model="numpy")
-def _make_dictionary(lights, view, base, prior, place, normals, book, square):
-    """Directions about the view, and what the usual material shows at each, (LEDs, directions)."""
-    x, y, z = view[0], view[1], view[2]
-    sign = _ONE if z >= 0 else -_ONE
-    a = -_ONE / (sign + z)
-    b = x * y * a
-    alpha, ratio = np.float32(math.exp(prior[0])), np.float32(math.exp(prior[1]))
-    for m in range(lights.shape[0]):
-        hx, hy, hz = lights[m, 0] + x, lights[m, 1] + y, lights[m, 2] + z
-        scale = _ONE / math.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
-        place[m, 0], place[m, 1], place[m, 2] = lights[m, 0], lights[m, 1], lights[m, 2]
-        place[m, 3], place[m, 4], place[m, 5] = hx * scale, hy * scale, hz * scale
-    for j in range(DIRECTIONS):
-        u, v, w = base[j, 0], base[j, 1], base[j, 2]
-        normals[j, 0] = u * (_ONE + sign * x * x * a) + v * b + w * x
-        normals[j, 1] = u * sign * b + v * (sign + y * y * a) + w * y
-        normals[j, 2] = -u * sign * x - v * y + w * z
-    for m in range(lights.shape[0]):
-        _show(place[m], normals, alpha, ratio, book[m], square[m])
-
-
-@njit(cache=True, error_model="numpy")
-def _match(leds, lane, book, square, up, down):
-    """How much of a lane's light each direction explains, and with which amplitude, in `down`."""
-    up[:] = np.float32(0.0)
-    down[:] = np.float32(1e-20)
-    for m in range(book.shape[0]):
-        sharp = leds[m * _LED + _SHARP + lane]
-        w = sharp * sharp
-        wi = w * leds[m * _LED + _LIGHT + lane]
-        shown, power = book[m], square[m]
-        for j in range(DIRECTIONS):
-            up[j] += wi * shown[j]
-        for j in range(DIRECTIONS):
-            down[j] += w * power[j]
-    for j in range(DIRECTIONS):
-        down[j] = up[j] / down[j]
-    for j in range(DIRECTIONS):
-        up[j] *= down[j]
-
-
-@njit(cache=True, error_model="numpy")
-def _best(score):
-    best = 0
-    for j in range(1, DIRECTIONS):
-        if score[j] > score[best]:
-            best = j
-    return best
+            led[LIGHT + k] = i
+            led[SHARP + k] = ONE / math.sqrt(max(variance, np.float32(1e-30)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -446,19 +332,19 @@ def _rerender(leds, lane, state, noise, out):
     """Mean relative error (eq. 5.30) over LEDs above three sigma, and how many LEDs there are."""
     used, bright, relative = 0, 0, 0.0
     for m in range(len(noise)):
-        led = leds[m * _LED : (m + 1) * _LED]
-        if not led[_SHARP + lane] > 0:
+        led = leds[m * LED : (m + 1) * LED]
+        if not led[SHARP + lane] > 0:
             continue
         used += 1
         nl = nh = np.float32(0.0)
-        for c in range(0, 3 * _LANES, _LANES):
-            nl += led[_LX + c + lane] * state[_X + c + lane]
-            nh += led[_HX + c + lane] * state[_X + c + lane]
+        for c in range(0, 3 * LANES, LANES):
+            nl += led[LX + c + lane] * state[_X + c + lane]
+            nh += led[HX + c + lane] * state[_X + c + lane]
         model = np.float32(0.0)
         if nl > 0:
-            power = state[_AL + lane] * _log2(min(max(nh, _LEAST_NH), _ONE))
-            model = state[_KS + lane] * (exp2(max(power, _DARKEST)) + state[_RATIO + lane] * nl)
-        light = led[_LIGHT + lane]
+            power = state[_AL + lane] * log2(min(max(nh, LEAST_NH), ONE))
+            model = state[_KS + lane] * (exp2(max(power, DARKEST)) + state[_RATIO + lane] * nl)
+        light = led[LIGHT + lane]
         if light > 3 * noise[m]:
             relative += abs(light - model) / light
             bright += 1
@@ -471,7 +357,7 @@ def _report(lane, view, state, t, eq, matrix, out):
     """Parameters and covariances of one lane."""
     facing = 0.0
     for c in range(3):
-        facing += view[c] * state[_X + c * _LANES + lane]
+        facing += view[c] * state[_X + c * LANES + lane]
     if out[LEDS] < 4 or not out[RESIDUAL] >= 0 or not facing > 0:
         out[RESIDUAL] = np.nan
         return
@@ -483,7 +369,7 @@ def _report(lane, view, state, t, eq, matrix, out):
     for i in range(5):
         for j in range(i, 5):
             matrix[i, j] = matrix[j, i] = eq[row]
-            row += _LANES
+            row += LANES
         # Where nothing tells a parameter, its variance is large, not infinite.
         matrix[i, i] += 1e-6
     invert(matrix)
@@ -493,40 +379,12 @@ def _report(lane, view, state, t, eq, matrix, out):
             total = 0.0
             for a in range(2):
                 for b in range(2):
-                    across = t[(3 * a + i) * _LANES + lane] * t[(3 * b + j) * _LANES + lane]
+                    across = t[(3 * a + i) * LANES + lane] * t[(3 * b + j) * LANES + lane]
                     total += matrix[a, b] * across
             out[at] = total
             at += 1
     out[LOG_ALPHA], out[LOG_RATIO] = state[_LA + lane], state[_LR + lane]
     out[CAA], out[CAR], out[CRR] = matrix[3, 3], matrix[3, 4], matrix[4, 4]
-
-
-@njit(cache=True, error_model="numpy")
-def _choose_starts(
-    leds, lights, views, first, count, base, far, prior, begin, place, normals, book, square
-):
-    """Normals and strengths to start each lane from, (starts, lanes, 4)."""
-    up, down = np.empty(DIRECTIONS, np.float32), np.empty(DIRECTIONS, np.float32)
-    begin[:] = np.float32(0.0)
-    begin[:, :, 2] = _ONE
-    looked = False
-    for k in range(count):
-        looked &= k % _LOOK > 0
-        if not looked:
-            differs = _differs(leds, k, place)
-            looked = differs >= 0
-            if differs > 0:
-                _make_dictionary(
-                    lights[:, first + k], views[first + k], base, prior, place, normals, book,
-                    square,
-                )  # fmt: skip
-        _match(leds, k, book, square, up, down)
-        for s in range(_STARTS):
-            best = _best(up)
-            begin[s, k, :3] = normals[best]
-            begin[s, k, 3] = down[best]
-            for j in range(DIRECTIONS):
-                up[j] *= far[best, j]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -558,35 +416,35 @@ def fit_pixels(intensity, lights, views, usable, noise, base, far, prior, misfit
 def _fit_run(intensity, lights, views, usable, noise, base, far, prior, misfit2, begin, end, out):
     """Blocks of pixels one after the other, which share a dictionary while their LEDs are alike."""
     n_leds = intensity.shape[0]
-    leds = np.empty(n_leds * _LED, np.float32)
+    leds = np.empty(n_leds * LED, np.float32)
     state, best = np.zeros(_STATE, np.float32), np.zeros(_STATE, np.float32)
     trial = np.zeros(_STATE, np.float32)
     t, work = np.zeros(_TANGENTS, np.float32), np.zeros(_WORK, np.float32)
     eq, eq_trial = np.zeros(_EQUATIONS, np.float32), np.zeros(_EQUATIONS, np.float32)
-    step, least = np.zeros(_STEP, np.float32), np.empty(_LANES, np.float32)
-    first_steps = np.empty((_STARTS, _LANES, 4), np.float32)
+    step, least = np.zeros(_STEP, np.float32), np.empty(LANES, np.float32)
+    first_steps = np.empty((STARTS, LANES, 4), np.float32)
     place, normals = np.full((n_leds, 6), np.nan, np.float32), np.zeros((DIRECTIONS, 3), np.float32)
     book = np.zeros((n_leds, DIRECTIONS), np.float32)
     square = np.zeros((n_leds, DIRECTIONS), np.float32)
     matrix = np.zeros((5, 5))
-    for first in range(begin, end, _LANES):
-        count = min(_LANES, end - first)
+    for first in range(begin, end, LANES):
+        count = min(LANES, end - first)
         level2 = max(misfit2, _FIRST_MISFIT2)
         _gather(intensity, noise, usable, lights, views, first, count, level2, leds)
-        _choose_starts(leds, lights, views, first, count, base, far, prior, first_steps,
+        choose_starts(leds, lights, views, first, count, base, far, prior, first_steps,
                        place, normals, book, square)  # fmt: skip
         least[:] = np.float32(np.inf)
         # A pixel that no start explains has no normal.
         best[:] = np.float32(0.0)
-        for s in range(_STARTS):
-            for k in range(_LANES):
+        for s in range(STARTS):
+            for k in range(LANES):
                 _start(state, k, first_steps[s, k], first_steps[s, k, 3], prior)
             _descend(leds, state, t, work, prior, step, trial, eq, eq_trial, _FIRST_STEPS)
-            better = step[_BETTER : _BETTER + _LANES]
-            for k in range(_LANES):
-                better[k] = _ONE if eq[_COST + k] < least[k] else np.float32(0.0)
+            better = step[_BETTER : _BETTER + LANES]
+            for k in range(LANES):
+                better[k] = ONE if eq[_COST + k] < least[k] else np.float32(0.0)
             _choose(better, state, best)
-            _choose(better, eq[_COST : _COST + _LANES], least)
+            _choose(better, eq[_COST : _COST + LANES], least)
         while True:
             level2 = max(misfit2, level2 * _FALL2)
             _gather(intensity, noise, usable, lights, views, first, count, level2, leds)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from treadlight.photometric import map_kernels
+from treadlight.photometric import map_kernels, map_starts
 from treadlight.photometric.observations import Observations
 
 _SEARCH_PX, _SAMPLE_PX = 256, 4096
@@ -62,14 +62,9 @@ def fit(observations: Observations, material: Material) -> np.ndarray:
     """The kernel's results, (n, map_kernels.RESULTS) float64."""
     out = np.empty((observations.intensity.shape[1], map_kernels.RESULTS))
     base = _directions()
-    far = (base @ base.T < map_kernels.APART).astype(np.float32)
-    # One memory layout and type: the kernel is then compiled once.
+    far = (base @ base.T < map_starts.APART).astype(np.float32)
     map_kernels.fit_pixels(
-        np.ascontiguousarray(observations.intensity, np.float32),
-        np.ascontiguousarray(observations.lights, np.float32),
-        np.ascontiguousarray(observations.views, np.float32),
-        np.ascontiguousarray(observations.usable, np.bool_),
-        np.ascontiguousarray(observations.noise, np.float32),
+        *observations.arrays(),
         base,
         far,
         material.prior,
@@ -81,8 +76,8 @@ def fit(observations: Observations, material: Material) -> np.ndarray:
 
 def _directions() -> np.ndarray:
     """Unit vectors evenly about (0, 0, 1), by the golden angle, (DIRECTIONS, 3) float32."""
-    place = np.arange(map_kernels.DIRECTIONS) + 0.5
-    cosine = 1 - place / map_kernels.DIRECTIONS * (1 - np.cos(map_kernels.WIDEST))
+    place = np.arange(map_starts.DIRECTIONS) + 0.5
+    cosine = 1 - place / map_starts.DIRECTIONS * (1 - np.cos(map_starts.WIDEST))
     turn = np.pi * (1 + np.sqrt(5)) * place
     sine = np.sqrt(1 - cosine**2)
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1).astype(np.float32)

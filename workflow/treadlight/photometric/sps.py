@@ -104,13 +104,8 @@ def _fit(
     observations: Observations, algorithm: Algorithm, max_refinements: int, misfit: float
 ) -> np.ndarray:
     out = np.empty((observations.intensity.shape[1], kernels.RESULTS))
-    # One memory layout and type: the kernel is then compiled once.
     kernels.fit_pixels(
-        np.ascontiguousarray(observations.intensity, np.float32),
-        np.ascontiguousarray(observations.lights, np.float32),
-        np.ascontiguousarray(observations.views, np.float32),
-        np.ascontiguousarray(observations.usable, np.bool_),
-        np.ascontiguousarray(observations.noise, np.float32),
+        *observations.arrays(),
         algorithm,
         max_refinements,
         _CONVERGED_RAD,
