@@ -1,17 +1,8 @@
 """Specular photometric stereo with the region's material as a prior: the pipeline's default."""
 
-import numpy as np
-
 from treadlight.photometric import map_kernels
 from treadlight.photometric.material import Material, fit, learn_material
-from treadlight.photometric.observations import (
-    FEW_LEDS,
-    MIN_LEDS,
-    POOR_FIT,
-    WORST_RAD2,
-    Estimate,
-    Observations,
-)
+from treadlight.photometric.observations import Estimate, Observations, estimate_of
 
 
 def map_normals(observations: Observations, *, material: Material | None = None) -> Estimate:
@@ -40,21 +31,8 @@ def map_normals(observations: Observations, *, material: Material | None = None)
     if material is None:
         material = learn_material(observations)
     found = fit(observations, material)
-    used = found[:, map_kernels.LEDS]
-    normal = found[:, map_kernels.NX : map_kernels.NZ + 1].astype(np.float32)
-    nothing = ~np.isfinite(normal[:, 0])
-    flags = np.where(nothing & (used >= MIN_LEDS), POOR_FIT, np.uint8(0))
-    flags |= np.where(used < MIN_LEDS, FEW_LEDS, np.uint8(0))
-    columns = found[:, map_kernels.KD : map_kernels.RESIDUAL + 1].T
-    k_d, k_s, alpha, residual = columns.astype(np.float32)
-    covariance = found[:, map_kernels.CXX : map_kernels.CXX + 6]
-    return Estimate(
-        normal=normal,
-        k_d=k_d,
-        k_s=k_s,
-        alpha=alpha,
-        residual=residual,
-        leds_used=used.astype(np.uint8),
-        flags=flags.astype(np.uint8),
-        covariance=np.clip(covariance, -WORST_RAD2, WORST_RAD2).astype(np.float32),
+    return estimate_of(
+        found[:, : map_kernels.RESIDUAL + 1],
+        found[:, map_kernels.LEDS],
+        found[:, map_kernels.CXX : map_kernels.CXX + 6],
     )

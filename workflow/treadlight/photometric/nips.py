@@ -1,14 +1,11 @@
 """Non-linear iterative photometric stereo: the full Blinn-Phong model, fitted per pixel."""
 
-import math
-
 import numpy as np
 
 from treadlight.photometric import nips_kernel as kernel
 from treadlight.photometric.dps import dps
-from treadlight.photometric.observations import FEW_LEDS, POOR_FIT, Estimate, Observations
+from treadlight.photometric.observations import Estimate, Observations, estimate_of
 
-_WORST_RAD2 = (math.pi / 2) ** 2
 _CHUNK_PX = 1 << 16
 
 
@@ -50,18 +47,6 @@ def nips(observations: Observations) -> Estimate:
         )
     usable = observations.usable & np.isfinite(observations.intensity)
     used = usable.sum(axis=0).astype(np.uint8)
-    nothing = np.isnan(out[:, kernel.NX])
-    few = used < kernel.UNKNOWNS
-    flags = np.where(few, FEW_LEDS, np.where(nothing, POOR_FIT, np.uint8(0)))
-    k_d, k_s, alpha, residual = out[:, kernel.KD : kernel.RESIDUAL + 1].T.astype(np.float32)
-    return Estimate(
-        normal=out[:, kernel.NX : kernel.NZ + 1].astype(np.float32),
-        k_d=k_d,
-        k_s=k_s,
-        alpha=alpha,
-        residual=residual,
-        leds_used=used,
-        flags=flags.astype(np.uint8),
-        # An angle cannot be more uncertain than this, whatever the linear propagation says.
-        covariance=np.clip(out[:, kernel.CXX :], -_WORST_RAD2, _WORST_RAD2).astype(np.float32),
+    return estimate_of(
+        out[:, : kernel.RESIDUAL + 1], used, out[:, kernel.CXX :], fewest=kernel.UNKNOWNS
     )

@@ -76,3 +76,34 @@ class Estimate:
     leds_used: np.ndarray
     flags: np.ndarray
     covariance: np.ndarray
+
+
+def estimate_of(
+    columns: np.ndarray, used: np.ndarray, covariance: np.ndarray, fewest: int = MIN_LEDS
+) -> Estimate:
+    """What a kernel found, as every method gives it.
+
+    Parameters
+    ----------
+    columns : (n, 7) float
+        Normal, k_d, k_s, alpha, residual; NaN where there is no normal.
+    used : (n,)
+        LEDs used.
+    covariance : (n, 6) float
+        Of the normal's components, rad2.
+    fewest : int
+        With fewer LEDs the flag is few_leds, else poor_fit where there is no normal.
+    """
+    columns = columns.astype(np.float32)
+    nothing = ~np.isfinite(columns[:, 0])
+    flags = np.where(used < fewest, FEW_LEDS, np.where(nothing, POOR_FIT, np.uint8(0)))
+    return Estimate(
+        normal=columns[:, :3],
+        k_d=columns[:, 3],
+        k_s=columns[:, 4],
+        alpha=columns[:, 5],
+        residual=columns[:, 6],
+        leds_used=used.astype(np.uint8),
+        flags=flags.astype(np.uint8),
+        covariance=np.clip(covariance, -WORST_RAD2, WORST_RAD2).astype(np.float32),
+    )

@@ -6,14 +6,7 @@ from typing import Literal
 import numpy as np
 
 from treadlight.photometric import kernels
-from treadlight.photometric.observations import (
-    FEW_LEDS,
-    MIN_LEDS,
-    POOR_FIT,
-    WORST_RAD2,
-    Estimate,
-    Observations,
-)
+from treadlight.photometric.observations import Estimate, Observations, estimate_of
 
 Algorithm = Literal[2, 3, 4]
 
@@ -66,22 +59,8 @@ def sps(
     if misfit is None:
         misfit = typical_misfit(observations, algorithm=algorithm, max_refinements=max_refinements)
     found = _fit(observations, algorithm, max_refinements, misfit)
-    normal = found[:, kernels.NX : kernels.NZ + 1].astype(np.float32)
-    used = found[:, kernels.LEDS]
-    nothing = ~np.isfinite(normal[:, 0])
-    flags = np.where(nothing & (used >= MIN_LEDS), POOR_FIT, np.uint8(0))
-    flags |= np.where(used < MIN_LEDS, FEW_LEDS, np.uint8(0))
-    found[:, kernels.CXX :] = np.clip(found[:, kernels.CXX :], -WORST_RAD2, WORST_RAD2)
-    k_d, k_s, alpha, residual = found[:, kernels.KD : kernels.RESIDUAL + 1].T.astype(np.float32)
-    return Estimate(
-        normal=normal,
-        k_d=k_d,
-        k_s=k_s,
-        alpha=alpha,
-        residual=residual,
-        leds_used=used.astype(np.uint8),
-        flags=flags.astype(np.uint8),
-        covariance=found[:, kernels.CXX :].astype(np.float32),
+    return estimate_of(
+        found[:, : kernels.RESIDUAL + 1], found[:, kernels.LEDS], found[:, kernels.CXX :]
     )
 
 
