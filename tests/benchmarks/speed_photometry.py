@@ -28,11 +28,13 @@ K_D, K_S, ALPHA = 0.05, 0.4, 40.0
 
 
 def scene(count: int) -> Observations:
-    """A plane of tilted facets 400 mm from the LEDs and 600 mm below the camera."""
+    """A square of tilted facets 400 mm from the LEDs and 600 mm below the camera, row by row."""
     rng = np.random.default_rng(1)
     tilt = rng.uniform(-0.2, 0.2, (count, 2))
     normal = np.column_stack([tilt, np.sqrt(1 - np.sum(tilt**2, axis=1))])
-    points = np.column_stack([rng.uniform(-70, 70, (count, 2)), np.zeros(count)])
+    side = np.linspace(-70, 70, math.isqrt(count))
+    y, x = np.meshgrid(side, side, indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(count)])
     zenith = np.radians(np.repeat([15, 35], 8))
     azimuth = np.tile(2 * np.pi * np.arange(8) / 8, 2)
     across = np.sin(zenith)

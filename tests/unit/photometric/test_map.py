@@ -1,5 +1,7 @@
 """The default estimator: one material learned from the region, normals where no lobe is seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,3 +116,18 @@ def test_rerendering_is_what_the_residual_says(analytic, rng):
     expected = np.mean(np.abs(shown - intensity) / intensity, axis=0)
     residual = map_normals(observations, material=material).residual
     np.testing.assert_allclose(residual, expected, rtol=1e-3)
+
+
+def test_pixels_whose_leds_stand_anywhere_have_starts_of_their_own(analytic, rng):
+    """A block's dictionary serves only those whose LEDs stand alike."""
+    normals, rings = hemisphere(analytic, 900, widest=50.0), analytic.two_rings()
+    turns = np.radians(rng.uniform(0, 360, len(normals)))
+    c, s = np.cos(turns), np.sin(turns)
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    turn = np.array([[one, zero, zero], [zero, c, -s], [zero, s, c]])
+    turned = np.einsum("ijn,mj->mni", turn, rings)
+    seen = np.einsum("ijn,ni->nj", turn, normals)
+    observations = analytic.observe(analytic.blinn_phong(seen, rings, 0.03, 0.3, 40), rings)
+    observations = replace(observations, lights=turned.astype(np.float32))
+    found = analytic.degrees_between(map_normals(observations).normal, normals)
+    assert np.nanmean(found > 1.0) < 0.01

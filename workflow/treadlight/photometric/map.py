@@ -1,6 +1,7 @@
 """Specular photometric stereo with the region's material as a prior: the pipeline's default."""
 
-from treadlight.photometric import map_kernels
+from treadlight.photometric import map_report
+from treadlight.photometric.black_level import excess_black_level, give_back_black_level
 from treadlight.photometric.material import Material, fit, learn_material
 from treadlight.photometric.observations import Estimate, Observations, estimate_of
 
@@ -19,7 +20,8 @@ def map_normals(observations: Observations, *, material: Material | None = None)
     ----------
     observations : Observations
     material : Material, optional
-        By default learned from these observations.
+        By default learned from these observations, and so is whether too high a black level was
+        taken out of them (`excess_black_level`).
 
     Returns
     -------
@@ -29,10 +31,11 @@ def map_normals(observations: Observations, *, material: Material | None = None)
         (Laplace's approximation).
     """
     if material is None:
+        observations = give_back_black_level(observations, excess_black_level(observations))
         material = learn_material(observations)
     found = fit(observations, material)
     return estimate_of(
-        found[:, : map_kernels.RESIDUAL + 1],
-        found[:, map_kernels.LEDS],
-        found[:, map_kernels.CXX : map_kernels.CXX + 6],
+        found[:, : map_report.RESIDUAL + 1],
+        found[:, map_report.LEDS],
+        found[:, map_report.CXX : map_report.CXX + 6],
     )

@@ -16,7 +16,7 @@ LEAST_NH = np.float32(0.02)
 LN2, LOG2E = np.float32(math.log(2.0)), np.float32(1 / math.log(2.0))
 # Powers of two below this are nothing in single precision.
 DARKEST = np.float32(-40.0)
-ONE = np.float32(1.0)
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
 
 
 def rows(count: int) -> range:
@@ -24,16 +24,22 @@ def rows(count: int) -> range:
     return range(0, count * LANES, LANES)
 
 
-# One LED: light vector, halfway vector, intensity, 1 / its standard deviation.
-LX, LY, LZ, HX, HY, HZ, LIGHT, SHARP = rows(8)
-LED = 8 * LANES
+# One LED: light vector, halfway vector, intensity, its variance where it is dark (infinite where
+# the LED is not usable), 1 / its standard deviation with the model's misfit, and 1 / intensity
+# where that is above three standard deviations of the dark, else 0.
+LX, LY, LZ, HX, HY, HZ, LIGHT, DARK, SHARP, BRIGHT = rows(10)
+LED = 10 * LANES
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def log2(x):
-    """log2 for 0.02 <= x <= 1 to 1e-5: two square roots, then the series of atanh."""
-    y = math.sqrt(math.sqrt(x))
-    t = (y - ONE) / (y + ONE)
+def log2_and_inverse(x):
+    """log2 and 1 / x for 0.02 <= x <= 1: a square root, one division, the series of atanh.
+
+    The logarithm to 1e-5 from 0.1 on; to 5e-3 at 0.02, where a lobe has no light.
+    """
+    y = math.sqrt(x)
+    inverse = ONE / ((y + ONE) * x)
+    t = (y - ONE) * x * inverse
     s = t * t
     p = np.float32(1 / 13) * s + np.float32(1 / 11)
     p = p * s + np.float32(1 / 9)
@@ -41,7 +47,7 @@ def log2(x):
     p = p * s + np.float32(1 / 5)
     p = p * s + np.float32(1 / 3)
     p = p * s + ONE
-    return np.float32(8.0) * LOG2E * t * p
+    return np.float32(4.0) * LOG2E * t * p, (y + ONE) * inverse
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -49,3 +55,9 @@ def exp(x):
     """e^x for |x| <= 1 to 1e-6."""
     y = exp2(np.float32(-abs(x)) * LOG2E)
     return y if x < 0 else ONE / y
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def either(first, new, old):
+    """`new` where `first`, else `old`: a sum, since a choice becomes a branch around the store."""
+    return (new if first else ZERO) + (ZERO if first else old)

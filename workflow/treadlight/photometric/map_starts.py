@@ -1,8 +1,9 @@
 """Where to start the fit of `map_kernels`: the best few of many directions.
 
 A dictionary holds the intensities that the region's usual material would show at `DIRECTIONS`
-normals; a pixel's are held against them with a free amplitude. Neighbouring pixels share one
-dictionary as long as their LEDs stand alike.
+normals; the pixels of a block are held against them side by side, each with a free amplitude:
+some 4 operations per pixel, LED and direction. Pixels share one dictionary as long as their LEDs
+stand alike, as those of neighbours do.
 """
 
 import math
@@ -11,52 +12,75 @@ import numpy as np
 from numba import njit
 
 from treadlight.photometric.lanes import exp2
-from treadlight.photometric.map_lanes import DARKEST, LANES, LEAST_NH, LED, LIGHT, ONE, SHARP, log2
+from treadlight.photometric.map_lanes import (
+    DARKEST,
+    LANES,
+    LEAST_NH,
+    LED,
+    LIGHT,
+    LX,
+    ONE,
+    SHARP,
+    ZERO,
+    either,
+    log2_and_inverse,
+    rows,
+)
 
 DIRECTIONS = 128
 STARTS = 3
 # Widest angle between a normal and the view: 75 degrees.
 WIDEST = math.radians(75.0)
+# A start: normal and strength.
+START_X, START_Y, START_Z, START_KS = rows(4)
+START = 4 * LANES
 # Starts nearer than 25 degrees to a better one lead to the same minimum.
-APART = math.cos(math.radians(25.0))
-# A dictionary serves pixels whose LEDs stand within 3 degrees; every so many pixels are looked at.
-_ALIKE = 0.05
-_LOOK = 8
+_APART = np.float32(math.cos(math.radians(25.0)))
+# A dictionary serves pixels whose LEDs stand within 3 degrees.
+_ALIKE = np.float32(0.05)
+# One LED's light over its variance and 1 over it; what a direction explains, and its strength.
+_WEIGHED = _SCORE = 2 * LANES
+# LEDs that a loop takes at a time; a dictionary has rows for a multiple of as many.
+_TOGETHER = 4
 
 
 @njit(cache=True, error_model="numpy")
-def _differs(leds, lane, place):
-    """Whether a lane's usable LEDs stand elsewhere than those the dictionary was made for.
+def starts_desk(n_leds):
+    """Room for `choose_starts` to work in, used anew for every block.
 
-    1 if so, 0 if not, -1 if none is usable.
+    The dictionary (places of the LEDs, normals, what they show), with LEDs a multiple of those
+    taken together; LEDs weighed; scores; starts found, after zeros as the one before the first;
+    best scores and their directions; lanes that wait and are served.
     """
-    found = -1
-    for m in range(place.shape[0]):
-        at = m * LED + lane
-        if leds[at + SHARP] > 0:
-            found = 0
-            for c in range(6):
-                if not abs(leds[at + c * LANES] - place[m, c]) <= _ALIKE:
-                    return 1
-    return found
+    padded = (n_leds + _TOGETHER - 1) // _TOGETHER * _TOGETHER
+    return (
+        np.empty((n_leds, 6), np.float32),
+        np.empty((3, DIRECTIONS), np.float32),
+        np.zeros((padded, DIRECTIONS), np.float32),
+        np.zeros(padded * _WEIGHED, np.float32),
+        np.empty(DIRECTIONS * _SCORE, np.float32),
+        np.zeros((STARTS + 1, START), np.float32),
+        np.empty(2 * LANES, np.float32),
+        np.empty(LANES, np.float32),
+        np.empty(LANES, np.float32),
+    )
 
 
 @njit(cache=True, error_model="numpy")
-def _show(led, normals, alpha, ratio, shown, power):
-    """What one LED shows of unit gloss at all directions, and its square."""
+def _show(led, normals, alpha, ratio, shown):
+    """What one LED shows of unit gloss at all directions."""
     lx, ly, lz, hx, hy, hz = led[0], led[1], led[2], led[3], led[4], led[5]
+    x, y, z = normals[0], normals[1], normals[2]
     for j in range(DIRECTIONS):
-        nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-        nl = lx * nx + ly * ny + lz * nz
-        nh = min(max(hx * nx + hy * ny + hz * nz, LEAST_NH), ONE)
-        lit = ONE if nl > 0 else np.float32(0.0)
-        shown[j] = lit * (exp2(max(alpha * log2(nh), DARKEST)) + ratio * nl)
-    for j in range(DIRECTIONS):
-        power[j] = shown[j] * shown[j]
+        nl = lx * x[j] + ly * y[j] + lz * z[j]
+        nh = min(max(hx * x[j] + hy * y[j] + hz * z[j], LEAST_NH), ONE)
+        lit = ONE if nl > 0 else ZERO
+        power, _ = log2_and_inverse(nh)
+        shown[j] = lit * (exp2(max(alpha * power, DARKEST)) + ratio * nl)
 
 
 @njit(cache=True, error_model="numpy")
-def _make_dictionary(lights, view, base, prior, place, normals, book, square):
+def _make_dictionary(lights, view, base, prior, place, normals, book):
     """Directions about the view, and what the usual material shows at each, (LEDs, directions)."""
     x, y, z = view[0], view[1], view[2]
     sign = ONE if z >= 0 else -ONE
@@ -68,67 +92,133 @@ def _make_dictionary(lights, view, base, prior, place, normals, book, square):
         scale = ONE / math.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
         place[m, 0], place[m, 1], place[m, 2] = lights[m, 0], lights[m, 1], lights[m, 2]
         place[m, 3], place[m, 4], place[m, 5] = hx * scale, hy * scale, hz * scale
+        # What is unknown shows nothing.
+        for c in range(6):
+            place[m, c] = place[m, c] if place[m, c] == place[m, c] else ZERO
     for j in range(DIRECTIONS):
         u, v, w = base[j, 0], base[j, 1], base[j, 2]
-        normals[j, 0] = u * (ONE + sign * x * x * a) + v * b + w * x
-        normals[j, 1] = u * sign * b + v * (sign + y * y * a) + w * y
-        normals[j, 2] = -u * sign * x - v * y + w * z
+        normals[0, j] = u * (ONE + sign * x * x * a) + v * b + w * x
+        normals[1, j] = u * sign * b + v * (sign + y * y * a) + w * y
+        normals[2, j] = -u * sign * x - v * y + w * z
     for m in range(lights.shape[0]):
-        _show(place[m], normals, alpha, ratio, book[m], square[m])
+        _show(place[m], normals, alpha, ratio, book[m])
 
 
 @njit(cache=True, error_model="numpy")
-def _match(leds, lane, book, square, up, down):
-    """How much of a lane's light each direction explains, and with which amplitude, in `down`."""
-    up[:] = np.float32(0.0)
-    down[:] = np.float32(1e-20)
-    for m in range(book.shape[0]):
-        sharp = leds[m * LED + SHARP + lane]
-        w = sharp * sharp
-        wi = w * leds[m * LED + LIGHT + lane]
-        shown, power = book[m], square[m]
-        for j in range(DIRECTIONS):
-            up[j] += wi * shown[j]
-        for j in range(DIRECTIONS):
-            down[j] += w * power[j]
+def _serve(leds, place, waiting, served):
+    """Which of the waiting lanes have their usable LEDs where the dictionary has them."""
+    served[:] = waiting
+    for m in range(place.shape[0]):
+        led = leds[m * LED : (m + 1) * LED]
+        for c in range(6):
+            at = place[m, c]
+            row = led[LX + c * LANES : LX + (c + 1) * LANES]
+            for k in range(LANES):
+                alike = abs(row[k] - at) <= _ALIKE
+                served[k] = served[k] if alike or not led[SHARP + k] > 0 else ZERO
+
+
+@njit(cache=True, error_model="numpy")
+def _weigh(leds, weighed):
+    """Squared sharpness of the LEDs, with and without their light, as `_match` wants them."""
+    for m in range(len(leds) // LED):
+        led = leds[m * LED : (m + 1) * LED]
+        row = weighed[m * _WEIGHED : (m + 1) * _WEIGHED]
+        for k in range(LANES):
+            sharp2 = led[SHARP + k] * led[SHARP + k]
+            row[k] = sharp2 * led[LIGHT + k]
+            row[LANES + k] = sharp2
+
+
+@njit(cache=True, error_model="numpy")
+def _match(weighed, book, score):
+    """How much of each lane's light a direction explains, and with which strength."""
     for j in range(DIRECTIONS):
-        down[j] = up[j] / down[j]
+        at = score[j * _SCORE : (j + 1) * _SCORE]
+        at[:] = ZERO
+        for m in range(0, book.shape[0], _TOGETHER):
+            led = weighed[m * _WEIGHED : (m + _TOGETHER) * _WEIGHED]
+            a, b, c, d = book[m, j], book[m + 1, j], book[m + 2, j], book[m + 3, j]
+            aa, bb, cc, dd = a * a, b * b, c * c, d * d
+            for k in range(LANES):
+                at[k] += (
+                    led[k] * a
+                    + led[2 * LANES + k] * b
+                    + led[4 * LANES + k] * c
+                    + led[6 * LANES + k] * d
+                )
+                at[LANES + k] += (
+                    led[LANES + k] * aa
+                    + led[3 * LANES + k] * bb
+                    + led[5 * LANES + k] * cc
+                    + led[7 * LANES + k] * dd
+                )
+        for k in range(LANES):
+            strength = at[k] / (at[LANES + k] + np.float32(1e-20))
+            at[k] *= strength
+            at[LANES + k] = strength
+
+
+@njit(cache=True, error_model="numpy")
+def _pick(score, normals, start, former, earlier, best):
+    """The best direction of each lane that is apart from the two chosen before."""
+    best[:LANES] = -ONE
+    best[LANES:] = ZERO
     for j in range(DIRECTIONS):
-        up[j] *= down[j]
+        x, y, z = normals[0, j], normals[1, j], normals[2, j]
+        at, number = score[j * _SCORE : (j + 1) * _SCORE], np.float32(j)
+        for k in range(LANES):
+            one = former[START_X + k] * x + former[START_Y + k] * y + former[START_Z + k] * z
+            two = earlier[START_X + k] * x + earlier[START_Y + k] * y + earlier[START_Z + k] * z
+            better = (at[k] > best[k]) & (max(one, two) < _APART)
+            best[k] = either(better, at[k], best[k])
+            best[LANES + k] = either(better, number, best[LANES + k])
+    for k in range(LANES):
+        j = int(best[LANES + k])
+        start[START_X + k], start[START_Y + k] = normals[0, j], normals[1, j]
+        start[START_Z + k] = normals[2, j]
+        start[START_KS + k] = score[j * _SCORE + LANES + k]
 
 
 @njit(cache=True, error_model="numpy")
-def _best(score):
-    best = 0
-    for j in range(1, DIRECTIONS):
-        if score[j] > score[best]:
-            best = j
-    return best
+def _middle(waiting):
+    """The middle one of the lanes that wait, -1 if none does."""
+    half = waiting.sum() / 2
+    passed = ZERO
+    for k in range(LANES):
+        passed += waiting[k]
+        if waiting[k] > 0 and passed >= half:
+            return k
+    return -1
 
 
 @njit(cache=True, error_model="numpy")
-def choose_starts(
-    leds, lights, views, first, count, base, far, prior, begin, place, normals, book, square
-):
-    """Normals and strengths to start each lane from, (starts, lanes, 4)."""
-    up, down = np.empty(DIRECTIONS, np.float32), np.empty(DIRECTIONS, np.float32)
-    begin[:] = np.float32(0.0)
-    begin[:, :, 2] = ONE
-    looked = False
-    for k in range(count):
-        looked &= k % _LOOK > 0
-        if not looked:
-            differs = _differs(leds, k, place)
-            looked = differs >= 0
-            if differs > 0:
-                _make_dictionary(
-                    lights[:, first + k], views[first + k], base, prior, place, normals, book,
-                    square,
-                )  # fmt: skip
-        _match(leds, k, book, square, up, down)
+def choose_starts(leds, lights, views, first, count, base, prior, starts, desk):
+    """Normals and strengths to start each lane from: (STARTS, START), a flat block of rows each.
+
+    `desk` is one of `starts_desk`.
+    """
+    place, normals, book, weighed, score, found, best, waiting, served = desk
+    waiting[:] = ZERO
+    waiting[:count] = ONE
+    starts[:] = ZERO
+    starts[:, START_Z : START_Z + LANES] = ONE
+    _weigh(leds, weighed)
+    lane = _middle(waiting)
+    while lane >= 0:
+        _make_dictionary(
+            lights[:, first + lane], views[first + lane], base, prior, place, normals, book
+        )
+        _serve(leds, place, waiting, served)
+        served[lane] = ONE
+        _match(weighed, book, score)
         for s in range(STARTS):
-            best = _best(up)
-            begin[s, k, :3] = normals[best]
-            begin[s, k, 3] = down[best]
-            for j in range(DIRECTIONS):
-                up[j] *= far[best, j]
+            _pick(score, normals, found[s + 1], found[s], found[max(s - 1, 0)], best)
+        for s in range(STARTS):
+            for row in range(0, START, LANES):
+                for k in range(LANES):
+                    new, old = found[s + 1, row + k], starts[s, row + k]
+                    starts[s, row + k] = either(served[k] > 0, new, old)
+        for k in range(LANES):
+            waiting[k] -= served[k]
+        lane = _middle(waiting)

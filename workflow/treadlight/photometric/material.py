@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from treadlight.photometric import map_kernels, map_starts
+from treadlight.photometric import map_kernels, map_report, map_starts
 from treadlight.photometric.observations import Observations
 
 _SEARCH_PX, _SAMPLE_PX = 256, 4096
@@ -59,14 +59,11 @@ class Material:
 
 
 def fit(observations: Observations, material: Material) -> np.ndarray:
-    """The kernel's results, (n, map_kernels.RESULTS) float64."""
-    out = np.empty((observations.intensity.shape[1], map_kernels.RESULTS))
-    base = _directions()
-    far = (base @ base.T < map_starts.APART).astype(np.float32)
+    """The kernel's results, (n, map_report.RESULTS) float64."""
+    out = np.empty((observations.intensity.shape[1], map_report.RESULTS))
     map_kernels.fit_pixels(
         *observations.arrays(),
-        base,
-        far,
+        _directions(),
         material.prior,
         np.float32(material.misfit**2),
         out,
@@ -91,11 +88,15 @@ def learn_material(observations: Observations) -> Material:
     observations : Observations
         A sample of the region, evenly spread; some thousand pixels are enough.
     """
-    sample = _spread(observations, _SAMPLE_PX)
-    material = _search(_spread(sample, _SEARCH_PX))
-    for _ in range(_ROUNDS):
+    sample = spread(observations, _SAMPLE_PX)
+    return settle(sample, search(spread(sample, _SEARCH_PX)), _ROUNDS)
+
+
+def settle(sample: Observations, material: Material, rounds: int) -> Material:
+    """The sample's material by expectation and maximisation, from a first one."""
+    for _ in range(rounds):
         found = fit(sample, material)
-        cost = found[:, map_kernels.COST]
+        cost = found[:, map_report.FOUND_COST]
         known = np.isfinite(cost)
         if not known.any():
             return material
@@ -105,7 +106,7 @@ def learn_material(observations: Observations) -> Material:
     return material
 
 
-def _spread(observations: Observations, count: int) -> Observations:
+def spread(observations: Observations, count: int) -> Observations:
     """About so many of the pixels that have enough light to say something, evenly spread."""
     with np.errstate(invalid="ignore"):
         lit = (observations.usable & (observations.intensity > 3 * observations.noise)).sum(axis=0)
@@ -120,13 +121,13 @@ def _spread(observations: Observations, count: int) -> Observations:
     )
 
 
-def _search(sample: Observations) -> Material:
+def search(sample: Observations) -> Material:
     """The material that all pixels together fit best, by trying them all."""
     best, least = None, np.inf
     for alpha in _SEARCH_ALPHA:
         for ratio in _SEARCH_RATIO:
             trial = Material(np.log([alpha, ratio]), _SEARCH_STD**2 * np.eye(2), _SEARCH_MISFIT)
-            cost = fit(sample, trial)[:, map_kernels.COST]
+            cost = fit(sample, trial)[:, map_report.FOUND_COST]
             cost = cost[np.isfinite(cost)]
             # The logarithm: a material that fits most pixels wins, whatever the others are.
             total = float(np.mean(np.log(cost + _LEAST_MISFIT))) if len(cost) else 0.0
@@ -138,10 +139,10 @@ def _search(sample: Observations) -> Material:
 
 def _maximise(found: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance from the pixels' posteriors, their own uncertainty included."""
-    value = found[:, [map_kernels.LOG_ALPHA, map_kernels.LOG_RATIO]]
+    value = found[:, [map_report.FOUND_LN_ALPHA, map_report.FOUND_LN_RATIO]]
     mean = value.mean(axis=0)
     away = value - mean
-    own = found[:, [map_kernels.CAA, map_kernels.CAR, map_kernels.CRR]].mean(axis=0)
+    own = found[:, [map_report.CAA, map_report.CAR, map_report.CRR]].mean(axis=0)
     covariance = away.T @ away / len(away) + np.array([[own[0], own[1]], [own[1], own[2]]])
     return mean, covariance + _LEAST_STD**2 * np.eye(2)
 
@@ -161,8 +162,8 @@ def _misfit(sample: Observations, found: np.ndarray, kept: np.ndarray) -> float:
 
 def rerender(observations: Observations, found: np.ndarray) -> np.ndarray:
     """What the model shows of the kernel's results (eq. 5.1), (n_leds, n)."""
-    normal = found[:, map_kernels.NX : map_kernels.NZ + 1]
-    k_d, k_s, alpha = found[:, map_kernels.KD : map_kernels.ALPHA + 1].T
+    normal = found[:, map_report.NORMAL_X : map_report.NORMAL_Z + 1]
+    k_d, k_s, alpha = found[:, map_report.FOUND_K_D : map_report.FOUND_ALPHA + 1].T
     half = observations.lights + observations.views
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
     cos_l = np.einsum("mni,ni->mn", observations.lights, normal)

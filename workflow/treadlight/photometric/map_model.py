@@ -1,0 +1,165 @@
+"""The full reflection model of many pixels side by side: its cost and normal equations.
+
+About 130 operations per pixel and LED.
+"""
+
+import numpy as np
+from numba import njit
+
+from treadlight.photometric.lanes import exp2
+from treadlight.photometric.map_lanes import (
+    DARKEST,
+    HX,
+    HY,
+    HZ,
+    LANES,
+    LEAST_NH,
+    LED,
+    LIGHT,
+    LN2,
+    LX,
+    LY,
+    LZ,
+    ONE,
+    SHARP,
+    ZERO,
+    log2_and_inverse,
+    rows,
+)
+
+# Geman and McClure's function of the residual: at this many standard deviations a quarter's weight.
+_ROBUST = np.float32(1 / 6.0**2)
+
+# State: the normal, k_s, k_d / k_s, alpha, the logarithms of the last two.
+X, Y, Z, K_S, RATIO, ALPHA, LN_ALPHA, LN_RATIO = rows(8)
+STATE = 8 * LANES
+# Two unit vectors across the normal.
+UX, UY, UZ, VX, VY, VZ = rows(6)
+TANGENTS = 6 * LANES
+# Normal equations of (two tilts, ln k_s, ln alpha, ln k_d / k_s), and the cost.
+(
+    A00, A01, A02, A03, A04, A11, A12, A13, A14, A22, A23, A24, A33, A34, A44,
+    B0, B1, B2, B3, B4, COST,
+) = rows(21)  # fmt: skip
+EQUATIONS = 21 * LANES
+# One LED's terms in between.
+GLOSS, DIFFUSE, _POWER, _SLOPE, _LIT, _MISS, _WEIGHT, _J0, _J1, K_D = rows(10)
+WORK = 10 * LANES
+
+
+@njit(cache=True, error_model="numpy")
+def tangents(state, t):
+    """Two unit vectors across n (Duff et al. 2017, for either sign of n_z)."""
+    for k in range(LANES):
+        x, y, z = state[X + k], state[Y + k], state[Z + k]
+        sign = ONE if z >= 0 else -ONE
+        a = -ONE / (sign + z)
+        b = x * y * a
+        t[UX + k] = ONE + sign * x * x * a
+        t[UY + k] = sign * b
+        t[UZ + k] = -sign * x
+        t[VX + k] = b
+        t[VY + k] = sign + y * y * a
+        t[VZ + k] = -y
+
+
+@njit(cache=True, error_model="numpy")
+def shade(led, state, work):
+    """k_s (n.h)^alpha, k_d n.l, log2 (n.h) and alpha gloss / n.h of one LED."""
+    for k in range(LANES):
+        x, y, z = state[X + k], state[Y + k], state[Z + k]
+        nl = led[LX + k] * x + led[LY + k] * y + led[LZ + k] * z
+        nh = led[HX + k] * x + led[HY + k] * y + led[HZ + k] * z
+        power, inverse_nh = log2_and_inverse(min(max(nh, LEAST_NH), ONE))
+        lit = ONE if nl > 0 else ZERO
+        alpha = state[ALPHA + k]
+        gloss = state[K_S + k] * exp2(max(alpha * power, DARKEST)) * lit
+        work[GLOSS + k] = gloss
+        work[DIFFUSE + k] = work[K_D + k] * nl * lit
+        work[_POWER + k] = power
+        work[_SLOPE + k] = alpha * gloss * inverse_nh
+        work[_LIT + k] = work[K_D + k] * lit
+
+
+@njit(cache=True, error_model="numpy")
+def _weigh(led, work, eq):
+    """Standardised residual, its robust weight, and the cost of one LED."""
+    for k in range(LANES):
+        r = (led[LIGHT + k] - work[GLOSS + k] - work[DIFFUSE + k]) * led[SHARP + k]
+        g = ONE / (ONE + r * r * _ROBUST)
+        work[_MISS + k] = r
+        work[_WEIGHT + k] = g * g
+        eq[COST + k] += r * r * g
+
+
+@njit(cache=True, error_model="numpy")
+def _tilt(led, t, work):
+    """Derivatives of one LED's standardised model by the two tilts."""
+    for k in range(LANES):
+        lx, ly, lz = led[LX + k], led[LY + k], led[LZ + k]
+        hx, hy, hz = led[HX + k], led[HY + k], led[HZ + k]
+        lit, slope, sharp = work[_LIT + k], work[_SLOPE + k], led[SHARP + k]
+        gx, gy, gz = lit * lx + slope * hx, lit * ly + slope * hy, lit * lz + slope * hz
+        work[_J0 + k] = (gx * t[UX + k] + gy * t[UY + k] + gz * t[UZ + k]) * sharp
+        work[_J1 + k] = (gx * t[VX + k] + gy * t[VY + k] + gz * t[VZ + k]) * sharp
+
+
+@njit(cache=True, error_model="numpy")
+def _accumulate(led, state, work, eq):
+    """Add one LED to the normal equations."""
+    for k in range(LANES):
+        w, r, sharp = work[_WEIGHT + k], work[_MISS + k], led[SHARP + k]
+        gloss, diffuse = work[GLOSS + k] * sharp, work[DIFFUSE + k] * sharp
+        x0, x1, x2, x4 = work[_J0 + k], work[_J1 + k], gloss + diffuse, diffuse
+        x3 = gloss * state[ALPHA + k] * work[_POWER + k] * LN2
+        w0, w1, w2, w3, w4 = w * x0, w * x1, w * x2, w * x3, w * x4
+        eq[A00 + k] += w0 * x0
+        eq[A01 + k] += w0 * x1
+        eq[A02 + k] += w0 * x2
+        eq[A03 + k] += w0 * x3
+        eq[A04 + k] += w0 * x4
+        eq[A11 + k] += w1 * x1
+        eq[A12 + k] += w1 * x2
+        eq[A13 + k] += w1 * x3
+        eq[A14 + k] += w1 * x4
+        eq[A22 + k] += w2 * x2
+        eq[A23 + k] += w2 * x3
+        eq[A24 + k] += w2 * x4
+        eq[A33 + k] += w3 * x3
+        eq[A34 + k] += w3 * x4
+        eq[A44 + k] += w4 * x4
+        eq[B0 + k] += w0 * r
+        eq[B1 + k] += w1 * r
+        eq[B2 + k] += w2 * r
+        eq[B3 + k] += w3 * r
+        eq[B4 + k] += w4 * r
+
+
+@njit(cache=True, error_model="numpy")
+def _add_prior(state, prior, eq):
+    mean_a, mean_r, aa, ar, rr = prior[0], prior[1], prior[2], prior[3], prior[4]
+    for k in range(LANES):
+        x, y = state[LN_ALPHA + k] - mean_a, state[LN_RATIO + k] - mean_r
+        gx, gy = aa * x + ar * y, ar * x + rr * y
+        eq[A33 + k] += aa
+        eq[A34 + k] += ar
+        eq[A44 + k] += rr
+        eq[B3 + k] -= gx
+        eq[B4 + k] -= gy
+        eq[COST + k] += x * gx + y * gy
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate(leds, state, t, work, prior, eq):
+    """Normal equations and cost of a block's state."""
+    eq[:] = ZERO
+    tangents(state, t)
+    for k in range(LANES):
+        work[K_D + k] = state[K_S + k] * state[RATIO + k]
+    for m in range(len(leds) // LED):
+        led = leds[m * LED : (m + 1) * LED]
+        shade(led, state, work)
+        _weigh(led, work, eq)
+        _tilt(led, t, work)
+        _accumulate(led, state, work, eq)
+    _add_prior(state, prior, eq)
