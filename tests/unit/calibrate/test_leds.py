@@ -6,11 +6,17 @@ import cv2
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.special import erf
 
 from treadlight.calibrate.balls import BallSet, find_balls, find_highlight, outline
 from treadlight.calibrate.leds import calibrate_leds, intersect_lines, reflected_lines
 from treadlight.errors import CalibrationError
 from treadlight.geometry import Camera, Plane
+from treadlight.images import LinearFrame
+
+
+def linear_frames(images):
+    return [LinearFrame(image, image >= 1) for image in images]
 
 
 def mirror_point(centre, radius, led):
@@ -118,7 +124,12 @@ def test_outline_touches_the_sphere(bench):
 
 def test_rendered_balls_are_found_without_bias(bench, ball_images):
     found = find_balls(
-        ball_images, bench.camera, bench.reference_plane, 12, 2 * bench.ball_radius, 10.0
+        linear_frames(ball_images),
+        bench.camera,
+        bench.reference_plane,
+        12,
+        2 * bench.ball_radius,
+        10.0,
     )
     assert len(found.centres) == 12
     seen = bench.camera.project(found.centres)
@@ -131,12 +142,50 @@ def test_rendered_balls_are_found_without_bias(bench, ball_images):
     assert np.isfinite(found.highlights).mean() > 0.95
 
 
+def glint_frame(camera, middle, sigma_px, peak, rng, channels=(1.0,)):
+    """A Gaussian glint, integrated over pixels, on an even ground: clipped, less a dark frame."""
+    width, height = camera.size_px
+    u, v = (
+        sigma * np.sqrt(np.pi / 2) * np.diff(erf((np.arange(n + 1) - 0.5 - c) / sigma / np.sqrt(2)))
+        for n, c, sigma in zip((width, height), middle, sigma_px, strict=True)
+    )
+    light = 0.03 + peak * v[:, None] * u
+    dark = 0.01 * rng.standard_normal(light.shape)
+    counts = [c * light + dark + 0.003 * rng.standard_normal(light.shape) for c in channels]
+    intensity = np.mean([np.minimum(count, 1) - dark for count in counts], axis=0)
+    return LinearFrame(intensity.astype(np.float32), np.max(counts, axis=0) >= 1)
+
+
+@pytest.mark.parametrize(
+    ("sigma_px", "peak", "channels"),
+    [
+        ((0.7, 0.7), 0.5, (1.0,)),
+        ((0.8, 0.8), 3.0, (1.0,)),
+        ((1.5, 1.5), 20.0, (1.0,)),
+        # Green clips long before red and blue do: the mean has a shoulder, no flat top.
+        ((1.5, 1.5), 4.0, (0.4, 1.0, 0.3)),
+        ((2.0, 3.0), 3.0, (1.0,)),
+    ],
+)
+def test_glint_is_placed_to_a_hundredth_of_a_pixel_clipped_or_not(rng, sigma_px, peak, channels):
+    camera = Camera(np.array([[2500.0, 0, 60], [0, 2500, 60], [0, 0, 1]]), np.zeros(5), (121, 121))
+    centre, errors = np.array([0.0, 0.0, 800.0]), []
+    for _ in range(40):
+        middle = 60 + rng.uniform(-4, 4, 2)
+        frame = glint_frame(camera, middle, sigma_px, peak, rng, channels)
+        assert frame.saturated.any() == (peak > 1)
+        errors.append(find_highlight(frame, camera, centre, 10.0) - middle)
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.006
+    assert np.std(errors) < 0.015
+
+
 def test_images_without_glints_are_refused(bench):
     images = [np.full(bench.size_px[::-1], 0.3, np.float32)] * 3
+    black = linear_frames([0 * image for image in images])
     with pytest.raises(CalibrationError, match="0 of 12 balls"):
-        find_balls(images, bench.camera, bench.reference_plane, 12, 20.0, 10.0)
+        find_balls(linear_frames(images), bench.camera, bench.reference_plane, 12, 20.0, 10.0)
     with pytest.raises(CalibrationError, match="0 of 12 balls"):
-        find_balls([0 * i for i in images], bench.camera, bench.reference_plane, 12, 20.0, 10.0)
+        find_balls(black, bench.camera, bench.reference_plane, 12, 20.0, 10.0)
 
 
 @pytest.mark.shared
@@ -156,7 +205,7 @@ def test_photographed_mirror_balls_give_the_stored_directions(shared_real):
             matrix = np.array([[far, 0, x], [0, far, height - 1 - y], [0, 0, 1]])
             camera = Camera(matrix, np.zeros(5), (width, height))
             centre = np.array([0.0, 0.0, far])
-            pixel = find_highlight(light, camera, centre, radius)
+            pixel = find_highlight(LinearFrame(light, image == 255), camera, centre, radius)
             _, mirrored = reflected_lines(camera, pixel[None], centre[None], radius)
             found = mirrored[0] * [1, -1, -1]
             errors.append(np.degrees(np.arccos(np.clip(found @ direction, -1, 1))))

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         frames = tuple(sorted(frames, key=lambda frame: frame.led or 0))
         reader = FrameReader(capture)
         found = find_balls(
-            _Intensities(reader, frames),
+            _Frames(reader, frames),
             rig.camera,
             rig.reference_plane,
             balls.count,
@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-class _Intensities(Sequence):
-    """The frames' intensities, decoded when asked for: one image is held at a time."""
+class _Frames(Sequence):
+    """Frames that are decoded when asked for: one image is held at a time."""
 
     def __init__(self, reader, frames):
         self.reader, self.frames = reader, frames
@@ -80,7 +80,7 @@ class _Intensities(Sequence):
         return len(self.frames)
 
     def __getitem__(self, index):
-        return self.reader.read(self.frames[index]).intensity
+        return self.reader.read(self.frames[index])
 
 
 def _intensities(capture, reader, rig, fits):
