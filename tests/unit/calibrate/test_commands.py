@@ -90,6 +90,24 @@ def test_leds_of_the_rendered_bench_are_found(bench, calibrated):
     assert all(led["residual_mm"]["mean"] <= led["residual_mm"]["max"] for led in leds)
 
 
+def test_every_ray_is_told_with_its_led_and_ball(bench, calibrated):
+    content = json.loads((calibrated[1] / "leds.json").read_text())
+    rays = content["rays"]
+    assert {(ray["led"], ray["ball"]) for ray in rays} <= {
+        (led, ball["ball"]) for led in range(6) for ball in content["balls"]
+    }
+    for led in content["leds"]:
+        used = [r["distance_mm"] for r in rays if r["led"] == led["led"] and r["used"]]
+        assert len(used) == led["balls"]
+        assert np.mean(used) == pytest.approx(led["residual_mm"]["mean"])
+        assert max(used) == pytest.approx(led["residual_mm"]["max"])
+    # A ray's pixel lies on its ball: no further from the centre than the radius.
+    centres = bench.camera.project(np.array([ball["centre"] for ball in content["balls"]]))
+    offsets = [ray["pixel"] - centres[ray["ball"]] for ray in rays]
+    radius_px = bench.focal * bench.ball_radius / 780
+    assert np.linalg.norm(offsets, axis=1).max() < radius_px
+
+
 def test_covariance_is_named_symmetric_and_positive(calibrated):
     covariance = calibrated[0]["covariance"]
     matrix = np.array(covariance["matrix"])

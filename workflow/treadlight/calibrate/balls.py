@@ -338,8 +338,9 @@ def _blob_centre(
 ) -> np.ndarray:
     """Centre (2,) of a blob: ln I = a + b q + c q^2 off its plateau, q the squared distance.
 
-    Where there are pixels enough q may grow faster one way than across it. A large clipped top is placed by its own outline: its centroid. Where the flanks have too
-    few pixels the centroid of ln(I / floor) has to do.
+    Where there are pixels enough q may grow faster one way than across it. A large clipped top
+    is placed by its own outline: its centroid. Where the flanks have too few pixels the centroid
+    of ln(I / floor) has to do.
     """
     if np.count_nonzero(plateau) >= _LARGE_TOP_PX:
         return np.array(ndimage.center_of_mass(plateau))[::-1]

@@ -1,7 +1,8 @@
 """Calibrate the LED positions from their highlights on chrome balls.
 
 Writes leds.json: the entry `leds` of a calibration (null without `balls` frames or without a
-reference plane).
+reference plane), the `balls` that were found, and of every highlight its `rays` entry: LED, ball,
+pixel, how far the reflected ray passes the LED, and whether it had a say in the LED's position.
 """
 
 import argparse
@@ -56,9 +57,16 @@ def run(args: argparse.Namespace) -> int:
         )
         if len(found.centres) < balls.count:
             print(f"LEDs: {len(found.centres)} of {balls.count} balls found.", file=sys.stderr)
-        fits = calibrate_leds(rig.camera, found, [frame.led or 0 for frame in frames])
-        intensities = _intensities(capture, reader, rig, fits)
-        store.write_json(args.out, {"leds": _content(fits, intensities)})
+        numbers = [frame.led or 0 for frame in frames]
+        fit = calibrate_leds(rig.camera, found, numbers)
+        _say_rejected(fit, numbers)
+        intensities = _intensities(capture, reader, rig, fit.leds)
+        content = {
+            "leds": _content(fit.leds, intensities),
+            "balls": [{"ball": k, "centre": centre} for k, centre in enumerate(fit.centres)],
+            "rays": _rays(fit, found.highlights, numbers),
+        }
+        store.write_json(args.out, content)
 
     return run_stage(
         args,
@@ -105,17 +113,49 @@ def _intensities(capture, reader, rig, fits):
     return relative_intensities(samples)
 
 
-def _content(fits, intensities) -> list[dict]:
+def _say_rejected(fit, numbers) -> None:
+    import numpy as np
+
+    rejected = [
+        f"LED {led.number} on ball {ball}"
+        for led in fit.leds
+        for ball in np.flatnonzero(np.isfinite(led.distances_mm) & ~led.used)
+    ]
+    if rejected:
+        print(f"LEDs: rays that disagree, rejected: {', '.join(rejected)}.", file=sys.stderr)
+    missing = sorted(set(numbers) - {led.number for led in fit.leds})
+    if missing:
+        print(f"LEDs: left out, too few balls show them: {missing}.", file=sys.stderr)
+
+
+def _content(leds, intensities) -> list[dict]:
     return [
         {
-            "led": fit.number,
-            "position": fit.position,
+            "led": led.number,
+            "position": led.position,
             "intensity": float(intensity),
             "residual_mm": {
-                "mean": float(fit.distances_mm.mean()),
-                "max": float(fit.distances_mm.max()),
+                "mean": float(led.distances_mm[led.used].mean()),
+                "max": float(led.distances_mm[led.used].max()),
             },
-            "balls": len(fit.distances_mm),
+            "balls": int(led.used.sum()),
         }
-        for fit, intensity in zip(fits, intensities, strict=True)
+        for led, intensity in zip(leds, intensities, strict=True)
+    ]
+
+
+def _rays(fit, highlights, numbers) -> list[dict]:
+    """One entry per LED and ball that shows it."""
+    import numpy as np
+
+    return [
+        {
+            "led": led.number,
+            "ball": int(ball),
+            "pixel": highlights[ball, numbers.index(led.number)],
+            "distance_mm": float(led.distances_mm[ball]),
+            "used": bool(led.used[ball]),
+        }
+        for led in fit.leds
+        for ball in np.flatnonzero(np.isfinite(led.distances_mm))
     ]
