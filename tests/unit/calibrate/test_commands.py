@@ -140,6 +140,11 @@ def test_illumination_predicts_the_card(bench, calibrated):
     dataset = store.open_store(out / "illumination.zarr")
     assert dataset["residual"].values.max() < 0.02
     assert dataset["radiant_intensity"].shape == (6, 320, 240)
+    # Its lens has no vignetting, its beams are cos^1.5.
+    lens = illumination.vignetting
+    assert [lens.linear, lens.quadratic, lens.reach] == list(dataset["vignetting"].values)
+    assert lens(np.array([0.1, 0.14, 1.0])) == pytest.approx(1, abs=0.01)
+    assert dataset["beam_power"].values == pytest.approx(1.5, abs=0.4)
 
 
 def test_missing_parts_are_null(calibration_capture, tmp_path):

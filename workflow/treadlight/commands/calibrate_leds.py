@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         numbers = [frame.led or 0 for frame in frames]
         fit = calibrate_leds(rig.camera, found, numbers)
         _say_rejected(fit, numbers)
-        intensities = _intensities(capture, reader, rig, fit.leds)
+        intensities = _intensities(capture, rig, fit.leds)
         content = {
             "leds": _content(fit.leds, intensities),
             "balls": [{"ball": k, "centre": centre} for k, centre in enumerate(fit.centres)],
@@ -91,26 +91,26 @@ class _Frames(Sequence):
         return self.reader.read(self.frames[index])
 
 
-def _intensities(capture, reader, rig, fits):
+def _intensities(capture, rig, leds):
     """Relative intensity of each LED: from the card, or from what the balls lie on."""
     import numpy as np
 
-    from treadlight.calibrate.illumination import CardFrame, plane_samples, relative_intensities
+    from treadlight.calibrate.beams import solve_beams
+    from treadlight.calibrate.illumination import MIN_BLOCKS, relative_intensities
+    from treadlight.commands.calibrate_illumination import samples_of
 
-    frames = {f.led: f for kind in ("balls", "card") for f in capture.of_kind(kind)}
-    if not {fit.number for fit in fits} <= {f.led for f in capture.of_kind("card")}:
-        # One kind for all: card and ground differ in albedo.
-        frames = {f.led: f for f in capture.of_kind("balls")}
-    samples = []
-    for fit in fits:
-        frame = frames[fit.number]
-        light = reader.read(frame)
-        exposed = light.intensity / np.float32(frame.exposure_s or 1.0)
-        card = CardFrame(fit.number, exposed, light.saturated)
-        samples.append(
-            plane_samples(card, fit.position, rig.reference_plane, rig.camera, albedo=1.0)
-        )
-    return relative_intensities(samples)
+    positions = {led.number: led.position for led in leds}
+    card = {frame.led for frame in capture.of_kind("card")}
+    # One kind for all: card and ground differ in albedo.
+    kind = "card" if set(positions) <= card else "balls"
+    found = samples_of(capture, kind, rig, positions)
+    samples = [found[number] for number in positions]
+    if kind == "balls" or min(len(s.values) for s in samples) < MIN_BLOCKS:
+        return relative_intensities(samples)
+    places = np.stack(list(positions.values()))
+    beams = solve_beams(samples, places, rig.reference_plane, rig.camera).beams
+    intensities = np.array([beam.intensity for beam in beams])
+    return intensities / intensities.mean()
 
 
 def _say_rejected(fit, numbers) -> None:

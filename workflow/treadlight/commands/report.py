@@ -252,9 +252,7 @@ def _led_distances(path: Path) -> tuple[bytes, str, str] | None:
         f" mean of {len(content['rays']) - rejected} rays."
     )
     if rejected:
-        caption += (
-            f" {rejected} more disagreed and were rejected (crosses, none beyond the border)."
-        )
+        caption += f" {rejected} more disagreed and were rejected (crosses, the far ones on top)."
     return png, f"Distance of reflected rays from the LEDs, {path.parent.name}", caption
 
 
