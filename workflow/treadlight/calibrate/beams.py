@@ -63,7 +63,7 @@ class Beams:
     ----------
     beams : tuple of Beam
     vignetting : Vignetting
-        None, where the frames cannot tell it from the beams.
+        Takes nothing where the frames cannot tell it from the beams.
     corner_std : float
         Standard deviation of the vignetting at its reach; infinite where it cannot be told.
     """
@@ -104,7 +104,7 @@ def solve_beams(
     std = _corner_std(lens)
     if not std <= _MOST_UNCERTAIN:
         lens = _solve(problem, vignetting=False)
-        return Beams(problem.beams(lens.x), Vignetting(0.0, 0.0, problem.reach), np.inf)
+        return Beams(problem.beams(lens.x), Vignetting(), np.inf)
     a, b = lens.x[-2:] / problem.reach ** np.array([1, 2])
     vignetting = Vignetting(float(a), float(b), problem.reach)
     return Beams(problem.beams(lens.x), vignetting, std)
