@@ -82,7 +82,7 @@ rule calibrate_leds:
         mem_mb=memory_of(400),
     params:
         folder=folder_of,
-        frames=frames_of("balls", "dark"),
+        frames=frames_of("balls", "card", "dark"),
         facts=facts_of,
         code=code_digest("treadlight.commands.calibrate_leds"),
     message:

@@ -151,6 +151,12 @@ def of_tire(name):
     ]
 
 
+def leds_of_tire(wildcards):
+    """leds.json of every calibration that the tire's captures take."""
+    names = {ARCHIVE.calibration_of[c] for c in ARCHIVE.tires[wildcards.tire]}
+    return [product(f"calibrations/{name}/leds.json") for name in sorted(names)]
+
+
 def archive_state():
     """What the archive holds, as JSON: tires, choice of calibration, refused captures."""
     return json.dumps(

@@ -4,6 +4,7 @@ rule report:
         trend=product("tires/{tire}/trend.csv"),
         profiles=of_tire("profile.zarr"),
         quality=of_tire("quality.json"),
+        leds=leds_of_tire,
     output:
         report(
             product("tires/{tire}/report.html"),
@@ -32,5 +33,5 @@ rule report:
     shell:
         "treadlight report {wildcards.tire} --wear {input.wear:q} --trend {input.trend:q}"
         " --profiles {input.profiles:q} --quality {input.quality:q}"
-        " --calibrations {params.calibrations:q} --size {params.size:q}"
+        " --calibrations {params.calibrations:q} --leds {input.leds:q} --size {params.size:q}"
         " --code {params.code} --out {output:q} 2> {log:q}"

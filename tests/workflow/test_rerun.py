@@ -121,6 +121,14 @@ def test_an_led_image_reruns_its_view_alone(processed, captures):
         }
 
 
+def test_a_card_image_reruns_the_leds_whose_light_it_shows(processed, captures):
+    with changed(image_of(captures[1], "card")) as image:
+        alter(image)
+        counts = processed.planned()
+    assert counts["calibrate_leds"] == counts["calibrate_illumination"] == 1
+    assert {"calibrate_camera", "calibrate_axis", "detect_laser_pixels"}.isdisjoint(counts)
+
+
 def test_an_image_touched_but_not_changed_plans_nothing(processed, captures):
     with changed(image_of(captures[0][0], "laser")) as image:
         os.utime(image)

@@ -21,7 +21,7 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from treadlight.errors import StoreError
-from treadlight.geometry import Axis, Camera, Illumination, Led, Plane, Rig
+from treadlight.geometry import Axis, Camera, Illumination, Led, Plane, Rig, Vignetting
 
 ROOT_METADATA = "zarr.json"
 _CHUNK = 256
@@ -293,4 +293,5 @@ def read_illumination(path: Path, rig: Rig) -> Illumination:
         raise StoreError(f"{path}: its LEDs are not the calibration's. Run the calibration again.")
     maps = dataset["radiant_intensity"].values
     step = int(dataset["u"].values[1] - dataset["u"].values[0])
-    return Illumination(rig.leds, rig.reference_plane, rig.camera, maps, step)
+    lens = Vignetting(*(float(value) for value in dataset["vignetting"].values))
+    return Illumination(rig.leds, rig.reference_plane, rig.camera, maps, step, lens)

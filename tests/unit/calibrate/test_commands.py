@@ -90,6 +90,24 @@ def test_leds_of_the_rendered_bench_are_found(bench, calibrated):
     assert all(led["residual_mm"]["mean"] <= led["residual_mm"]["max"] for led in leds)
 
 
+def test_every_ray_is_told_with_its_led_and_ball(bench, calibrated):
+    content = json.loads((calibrated[1] / "leds.json").read_text())
+    rays = content["rays"]
+    assert {(ray["led"], ray["ball"]) for ray in rays} <= {
+        (led, ball["ball"]) for led in range(6) for ball in content["balls"]
+    }
+    for led in content["leds"]:
+        used = [r["distance_mm"] for r in rays if r["led"] == led["led"] and r["used"]]
+        assert len(used) == led["balls"]
+        assert np.mean(used) == pytest.approx(led["residual_mm"]["mean"])
+        assert max(used) == pytest.approx(led["residual_mm"]["max"])
+    # A ray's pixel lies on its ball: no further from the centre than the radius.
+    centres = bench.camera.project(np.array([ball["centre"] for ball in content["balls"]]))
+    offsets = [ray["pixel"] - centres[ray["ball"]] for ray in rays]
+    radius_px = bench.focal * bench.ball_radius / 780
+    assert np.linalg.norm(offsets, axis=1).max() < radius_px
+
+
 def test_covariance_is_named_symmetric_and_positive(calibrated):
     covariance = calibrated[0]["covariance"]
     matrix = np.array(covariance["matrix"])
@@ -122,6 +140,11 @@ def test_illumination_predicts_the_card(bench, calibrated):
     dataset = store.open_store(out / "illumination.zarr")
     assert dataset["residual"].values.max() < 0.02
     assert dataset["radiant_intensity"].shape == (6, 320, 240)
+    # Its lens has no vignetting, its beams are cos^1.5.
+    lens = illumination.vignetting
+    assert [lens.linear, lens.quadratic, lens.reach] == list(dataset["vignetting"].values)
+    assert lens(np.array([0.1, 0.14, 1.0])) == pytest.approx(1, abs=0.01)
+    assert dataset["beam_power"].values == pytest.approx(1.5, abs=0.4)
 
 
 def test_missing_parts_are_null(calibration_capture, tmp_path):

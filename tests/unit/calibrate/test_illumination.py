@@ -9,11 +9,9 @@ from treadlight.calibrate.illumination import (
     fit_smooth_map,
     map_step,
     plane_samples,
-    radiant_intensity_maps,
     relative_intensities,
 )
 from treadlight.errors import CalibrationError
-from treadlight.geometry import Led
 
 
 def card_frame(bench, led, albedo=0.18):
@@ -81,17 +79,6 @@ def test_relative_intensities_have_mean_one_and_survive_an_empty_led(bench):
     empty = PlaneSamples(np.empty((0, 2)), np.empty(0))
     assert relative_intensities([samples[0], empty])[1] == pytest.approx(1)
     assert list(relative_intensities([empty, empty])) == [1, 1]
-
-
-def test_led_without_a_card_frame_gets_its_share(bench):
-    leds = [Led(k, bench.leds[k], float(bench.led_power[k])) for k in range(2)]
-    args = (bench.leds[0], bench.reference_plane, bench.camera, 0.18)
-    fit = fit_smooth_map(plane_samples(card_frame(bench, 0), *args))
-    maps = radiant_intensity_maps(leds, {0: fit}, bench.size_px)
-    assert maps.dtype == np.float32
-    assert maps.shape == (2, 320, 240)
-    assert np.ptp(maps[1]) == 0
-    assert maps[1, 0, 0] / maps[0].mean() == pytest.approx(0.8 / 1.2, rel=1e-4)
 
 
 def test_large_images_get_coarser_maps():

@@ -6,11 +6,17 @@ import cv2
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.special import erf
 
 from treadlight.calibrate.balls import BallSet, find_balls, find_highlight, outline
 from treadlight.calibrate.leds import calibrate_leds, intersect_lines, reflected_lines
 from treadlight.errors import CalibrationError
 from treadlight.geometry import Camera, Plane
+from treadlight.images import LinearFrame
+
+
+def linear_frames(images):
+    return [LinearFrame(image, image >= 1) for image in images]
 
 
 def mirror_point(centre, radius, led):
@@ -56,22 +62,30 @@ def test_ray_that_misses_the_ball_gives_no_line(bench):
     assert np.isnan(directions).all()
 
 
-def test_lines_meet_in_a_point_despite_one_that_does_not(rng):
-    target = np.array([10.0, -20.0, 400.0])
+def test_lines_meet_in_a_point_though_four_of_ten_lead_elsewhere(rng):
+    """Also where the four agree with each other, as mirror images of a lamp's reflection do."""
+    target, other = np.array([10.0, -20.0, 400.0]), np.array([60.0, 40.0, 420.0])
     directions = rng.normal(size=(10, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = target - 300 * directions
-    points[4] += [30.0, 10.0, 0.0]
-    assert np.linalg.norm(intersect_lines(points, directions) - target) < 1.0
+    points = target - 300 * directions + rng.normal(0, 0.01, (10, 3))
+    points[6:] += other - target
+    assert np.linalg.norm(intersect_lines(points, directions) - target) < 0.1
+
+
+def test_parallel_lines_have_no_say(rng):
+    directions = np.array([[0, 0, 1.0], [0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8]])
+    points = np.array([5.0, 6, 7]) - 100 * directions
+    assert intersect_lines(points, directions) == pytest.approx([5, 6, 7])
 
 
 def test_exact_highlights_give_the_exact_leds(bench, exact_balls):
-    fits = calibrate_leds(bench.camera, exact_balls, list(range(10, 16)))
+    fits = calibrate_leds(bench.camera, exact_balls, list(range(10, 16))).leds
     assert [fit.number for fit in fits] == list(range(10, 16))
     for fit, position in zip(fits, bench.leds, strict=True):
         assert np.linalg.norm(fit.position - position) < 0.1
         assert fit.distances_mm.max() < 0.1
-        assert len(fit.distances_mm) == len(bench.ball_centres)
+        assert fit.used.all()
+        assert len(fit.used) == len(bench.ball_centres)
 
 
 def test_joint_fit_mends_balls_that_are_misplaced(bench, exact_balls, rng):
@@ -84,7 +98,7 @@ def test_joint_fit_mends_balls_that_are_misplaced(bench, exact_balls, rng):
         centre_std_mm=np.full(len(shifts), 0.05),
         highlights=exact_balls.highlights + rng.normal(0, 0.002, exact_balls.highlights.shape),
     )
-    fits = calibrate_leds(bench.camera, noisy, list(range(6)))
+    fits = calibrate_leds(bench.camera, noisy, list(range(6))).leds
     joint = np.mean([np.linalg.norm(f.position - p) for f, p in zip(fits, bench.leds, strict=True)])
     single = []
     for led, position in enumerate(bench.leds):
@@ -96,12 +110,35 @@ def test_joint_fit_mends_balls_that_are_misplaced(bench, exact_balls, rng):
     assert joint < 0.6 * np.mean(single)
 
 
+def test_highlights_that_disagree_are_rejected_and_reported(bench, exact_balls, rng):
+    """Neither wrong glints of a few balls nor a ball off its outline move an LED."""
+    wrong = [(0, 1), (3, 1), (7, 1), (5, 4), (2, 0)]
+    highlights = exact_balls.highlights + rng.normal(0, 0.002, exact_balls.highlights.shape)
+    clean = dataclasses.replace(exact_balls, highlights=highlights.copy())
+    undisturbed = calibrate_leds(bench.camera, clean, list(range(6)))
+    for ball, led in wrong:
+        highlights[ball, led] += rng.choice([-1, 1], 2) * rng.uniform(0.5, 4, 2)
+    centres, std = exact_balls.centres.copy(), exact_balls.centre_std_mm.copy()
+    centres[9] += [0.4, -0.3, 0.0]
+    std[9] = 0.5
+    spoilt = dataclasses.replace(
+        exact_balls, centres=centres, centre_std_mm=std, highlights=highlights
+    )
+    fit = calibrate_leds(bench.camera, spoilt, list(range(6)))
+    rejected = {(ball, k) for k, led in enumerate(fit.leds) for ball in np.flatnonzero(~led.used)}
+    assert rejected == set(wrong)
+    assert np.linalg.norm(fit.centres[9] - exact_balls.centres[9]) < 0.02
+    for k, (led, without) in enumerate(zip(fit.leds, undisturbed.leds, strict=True)):
+        assert np.linalg.norm(led.position - without.position) < 0.8
+        assert led.distances_mm[led.used].max() < 0.5
+        assert (led.distances_mm[[ball for ball, m in wrong if m == k]] > 5).all()
+
+
 def test_led_without_highlights_is_left_out_and_none_is_refused(bench, exact_balls):
     highlights = exact_balls.highlights.copy()
     highlights[2:, 3] = np.nan
-    fits = calibrate_leds(
-        bench.camera, dataclasses.replace(exact_balls, highlights=highlights), list(range(6))
-    )
+    partly = dataclasses.replace(exact_balls, highlights=highlights)
+    fits = calibrate_leds(bench.camera, partly, list(range(6))).leds
     assert [fit.number for fit in fits] == [0, 1, 2, 4, 5]
     blind = dataclasses.replace(exact_balls, highlights=np.full_like(highlights, np.nan))
     with pytest.raises(CalibrationError, match="no LED shows a highlight"):
@@ -118,7 +155,12 @@ def test_outline_touches_the_sphere(bench):
 
 def test_rendered_balls_are_found_without_bias(bench, ball_images):
     found = find_balls(
-        ball_images, bench.camera, bench.reference_plane, 12, 2 * bench.ball_radius, 10.0
+        linear_frames(ball_images),
+        bench.camera,
+        bench.reference_plane,
+        12,
+        2 * bench.ball_radius,
+        10.0,
     )
     assert len(found.centres) == 12
     seen = bench.camera.project(found.centres)
@@ -131,12 +173,50 @@ def test_rendered_balls_are_found_without_bias(bench, ball_images):
     assert np.isfinite(found.highlights).mean() > 0.95
 
 
+def glint_frame(camera, middle, sigma_px, peak, rng, channels=(1.0,)):
+    """A Gaussian glint, integrated over pixels, on an even ground: clipped, less a dark frame."""
+    width, height = camera.size_px
+    u, v = (
+        sigma * np.sqrt(np.pi / 2) * np.diff(erf((np.arange(n + 1) - 0.5 - c) / sigma / np.sqrt(2)))
+        for n, c, sigma in zip((width, height), middle, sigma_px, strict=True)
+    )
+    light = 0.03 + peak * v[:, None] * u
+    dark = 0.01 * rng.standard_normal(light.shape)
+    counts = [c * light + dark + 0.003 * rng.standard_normal(light.shape) for c in channels]
+    intensity = np.mean([np.minimum(count, 1) - dark for count in counts], axis=0)
+    return LinearFrame(intensity.astype(np.float32), np.max(counts, axis=0) >= 1)
+
+
+@pytest.mark.parametrize(
+    ("sigma_px", "peak", "channels"),
+    [
+        ((0.7, 0.7), 0.5, (1.0,)),
+        ((0.8, 0.8), 3.0, (1.0,)),
+        ((1.5, 1.5), 20.0, (1.0,)),
+        # Green clips long before red and blue do: the mean has a shoulder, no flat top.
+        ((1.5, 1.5), 4.0, (0.4, 1.0, 0.3)),
+        ((2.0, 3.0), 3.0, (1.0,)),
+    ],
+)
+def test_glint_is_placed_to_a_hundredth_of_a_pixel_clipped_or_not(rng, sigma_px, peak, channels):
+    camera = Camera(np.array([[2500.0, 0, 60], [0, 2500, 60], [0, 0, 1]]), np.zeros(5), (121, 121))
+    centre, errors = np.array([0.0, 0.0, 800.0]), []
+    for _ in range(40):
+        middle = 60 + rng.uniform(-4, 4, 2)
+        frame = glint_frame(camera, middle, sigma_px, peak, rng, channels)
+        assert frame.saturated.any() == (peak > 1)
+        errors.append(find_highlight(frame, camera, centre, 10.0) - middle)
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.006
+    assert np.std(errors) < 0.015
+
+
 def test_images_without_glints_are_refused(bench):
     images = [np.full(bench.size_px[::-1], 0.3, np.float32)] * 3
+    black = linear_frames([0 * image for image in images])
     with pytest.raises(CalibrationError, match="0 of 12 balls"):
-        find_balls(images, bench.camera, bench.reference_plane, 12, 20.0, 10.0)
+        find_balls(linear_frames(images), bench.camera, bench.reference_plane, 12, 20.0, 10.0)
     with pytest.raises(CalibrationError, match="0 of 12 balls"):
-        find_balls([0 * i for i in images], bench.camera, bench.reference_plane, 12, 20.0, 10.0)
+        find_balls(black, bench.camera, bench.reference_plane, 12, 20.0, 10.0)
 
 
 @pytest.mark.shared
@@ -156,7 +236,7 @@ def test_photographed_mirror_balls_give_the_stored_directions(shared_real):
             matrix = np.array([[far, 0, x], [0, far, height - 1 - y], [0, 0, 1]])
             camera = Camera(matrix, np.zeros(5), (width, height))
             centre = np.array([0.0, 0.0, far])
-            pixel = find_highlight(light, camera, centre, radius)
+            pixel = find_highlight(LinearFrame(light, image == 255), camera, centre, radius)
             _, mirrored = reflected_lines(camera, pixel[None], centre[None], radius)
             found = mirrored[0] * [1, -1, -1]
             errors.append(np.degrees(np.arccos(np.clip(found @ direction, -1, 1))))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from treadlight.geometry import Camera, Illumination, Led, Plane
+from treadlight.geometry import Camera, Illumination, Led, Plane, Vignetting
 from treadlight.geometry.light import map_nodes
 
 CAMERA = Camera(
@@ -34,12 +34,13 @@ def plain_irradiance(light, index, points):
         order=1,
         mode="nearest",
     )
-    return strength / np.sum(offset**2, axis=-1)
+    return light.vignetting(points) * strength / np.sum(offset**2, axis=-1)
 
 
 @pytest.mark.parametrize("step", [1, 7])
 def test_kernel_is_the_definition(rng, step):
-    light = Illumination(LEDS, PLANE, CAMERA, maps(rng, step), step)
+    lens = Vignetting(-2.0, 3.0, 0.02)
+    light = Illumination(LEDS, PLANE, CAMERA, maps(rng, step), step, lens)
     points = rng.uniform([-120, -90, 700], [120, 90, 820], (40, 5, 3))
     for index in range(2):
         assert light.irradiance(index, points) == pytest.approx(
@@ -69,6 +70,16 @@ def test_point_off_the_plane_takes_its_own_direction(rng):
     points = rng.uniform([-30, -30, 760], [30, 30, 760], (50, 3))
     squared = np.sum((points - LEDS[0].position) ** 2, axis=1)
     assert light.irradiance(0, points) * squared == pytest.approx(beam(points), rel=2e-3)
+
+
+def test_vignetting_is_the_pixels_and_constant_beyond_its_reach():
+    """cos^4 of the angle off the optical axis, to second order, wherever on the ray."""
+    lens = Vignetting(-2.0, 3.0, 0.04)
+    points = np.array([[0.0, 0, 500], [0, 50, 500], [60, -80, 1000], [300, 0, 1000]])
+    q = np.array([0, 0.01, 0.01, 0.04])
+    assert lens(points) == pytest.approx(1 - 2 * q + 3 * q**2)
+    assert lens(points[:3]) == pytest.approx((1 + q[:3]) ** -2, abs=1e-5)
+    assert Vignetting()(points) == pytest.approx(1)
 
 
 def test_unknown_points_stay_unknown_and_those_behind_the_led_are_dark(rng):

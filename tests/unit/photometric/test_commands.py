@@ -86,7 +86,10 @@ def _write_illumination(path, bench):
     v, u = np.arange(0, 49, 16), np.arange(0, 65, 16)
     maps = np.stack([np.full((4, 5), led.intensity * 4e4, np.float32) for led in bench.leds])
     dataset = xr.Dataset(
-        {"radiant_intensity": store.variable(("led", "v", "u"), maps, "mm2", "intensity")},
+        {
+            "radiant_intensity": store.variable(("led", "v", "u"), maps, "mm2", "intensity"),
+            "vignetting": store.variable(("coefficient",), np.zeros(3), "1", "of the lens"),
+        },
         {
             "led": store.variable(("led",), np.arange(16), "1", "LED"),
             "v": store.variable(("v",), v, "pixel", "row"),

@@ -45,6 +45,23 @@ def test_a_report_holds_maps_section_trend_and_is_the_same_twice(results):
     assert len(provenance["inputs"]) == 6
 
 
+def test_a_report_shows_how_far_the_rays_pass_each_led(results):
+    path = results / "calibrations/cal/leds.json"
+    rays = [
+        {"led": led, "ball": ball, "pixel": [1, 2], "distance_mm": 0.1 * ball, "used": ball < 4}
+        for led in range(2)
+        for ball in range(5)
+    ]
+    path.write_text(json.dumps({"leds": [{"led": 0}, {"led": 1}], "rays": rays}))
+    text = report(results, calibrations=["cal", "cal"], leds=[path])
+    assert text.count("data:image/png;base64,") == 5
+    assert "0.15 mm in the mean of 8 rays. 2 more" in text
+    path.write_text(json.dumps({"leds": None}))
+    assert "LEDs" not in report(results, leds=[path])
+    path.write_text(json.dumps({"refused": "No board."}))
+    assert "LEDs" not in report(results, leds=[path])
+
+
 def test_one_capture_gives_a_report_without_wear(results):
     from treadlight import store
 

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from treadlight.report import Map, figures, map_figure, section_figure, thumbnail, trend_figure
+from treadlight.report import (
+    Map,
+    box_figure,
+    figures,
+    map_figure,
+    section_figure,
+    thumbnail,
+    trend_figure,
+)
 
 
 @pytest.fixture
@@ -24,6 +32,7 @@ def test_figures_are_the_same_bytes_each_time_and_name_no_software(maps):
         lambda: map_figure(maps, "mm", 355.0, "viridis"),
         lambda: section_figure([("a", z, z**2)], "mm", "title"),
         lambda: trend_figure([("rib-1", z[:3], z[:3], z[:3] * 0 + 0.1, -0.1)], "mi", "mm", "t"),
+        lambda: box_figure([("0", z**2, z[-2:] ** 3)], "LED", "mm", "t"),
         lambda: thumbnail(maps[0]),
     ]
     for one in draw:
@@ -39,6 +48,24 @@ def test_all_maps_share_one_colour_scale(maps):
     assert high > 14
     empty = Map("e", np.full((3, 3), np.nan), (0, 1), (0, 1))
     assert figures.colour_limits([empty]) == (0.0, 1.0)
+
+
+def test_rejected_values_are_red_and_do_not_stretch_the_boxes():
+    """Far outliers stay at the border: the boxes are as tall as without them."""
+    values, none = np.linspace(0.1, 0.5, 9), np.empty(0)
+
+    def drawn(rejected):
+        return pixels(box_figure([("0", values, rejected)], "LED", "mm", "t")).astype(int)
+
+    def red(picture):
+        return (picture[..., 0] > picture[..., 1] + 60) & (picture[..., 0] > picture[..., 2] + 60)
+
+    alone, near, far = (drawn(np.array(r)) for r in (none, [0.3], [40.0]))
+    assert not red(alone).any()
+    assert red(near).any()
+    rows = np.nonzero(red(far))[0].mean(), np.nonzero(red(near))[0].mean()
+    assert rows[0] < rows[1]
+    assert (far == alone)[~red(far)].mean() > 0.999
 
 
 def test_a_constant_map_still_has_a_scale():

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from treadlight.errors import CalibrationError
 from treadlight.geometry import Camera, Plane
+from treadlight.images import LinearFrame
 
 # Lines from two balls meet in a point; the third shows how well.
 MIN_BALLS = 3
@@ -21,11 +22,13 @@ _COARSE_SEARCH = 0.6
 _FINE_SEARCH = 0.12
 # Highlights lie well inside the outline: where the normal halves the angle to the LED.
 _HIGHLIGHT_REACH = 0.85
-# A glint's flank: from this share of its top up to where the top begins.
-_FLANK = (0.05, 0.97)
+# A glint is what is brighter than this share of its top.
+_FOOT = 0.05
 # A clipped top of so many pixels is placed by its outline to better than a tenth of a pixel,
 # while what surrounds it (glare, the lamp's housing) has grown with it and need not be even.
 _LARGE_TOP_PX = 100
+# A glint is oval where the lamp or its mirror image is; fewer flank pixels cannot tell.
+_OVAL_PX = 30
 # Balls are enlarged or shrunk to these radii before their outlines are looked for: a gradient's
 # magnitude holds finer detail than the image, which small balls have no pixels for.
 _EDGE_RADII_PX = (20.0, 64.0)
@@ -61,7 +64,7 @@ class BallSet:
 
 
 def find_balls(
-    images: Sequence[np.ndarray],
+    frames: Sequence[LinearFrame],
     camera: Camera,
     reference_plane: Plane,
     count: int,
@@ -75,9 +78,9 @@ def find_balls(
 
     Parameters
     ----------
-    images : sequence of (h, w) float32
-        Linear intensity, one LED lit in each; read twice, one by one, so that a sequence may
-        decode them when asked.
+    frames : sequence of LinearFrame
+        One LED lit in each; read twice, one by one, so that a sequence may decode them when
+        asked.
     camera : Camera
     reference_plane : Plane
         Normal towards the camera.
@@ -96,9 +99,9 @@ def find_balls(
     radius_px = _radius_px(camera, plane, radius)
     edges = _Edges(radius_px / float(np.clip(radius_px, *_EDGE_RADII_PX)))
     glints = []
-    for image in images:
-        glints.append(_glints(image, radius_px))
-        edges.add(image)
+    for frame in frames:
+        glints.append(_glints(frame.intensity, radius_px))
+        edges.add(frame.intensity)
     seeds = _seeds(glints, count, radius_px)
     if len(seeds) < MIN_BALLS:
         raise CalibrationError(
@@ -108,8 +111,7 @@ def find_balls(
     fits = [_fit_outline(edges, _on_plane(camera, plane, s), camera, plane, radius) for s in seeds]
     centres = np.stack([centre for centre, _ in fits])
     highlights = np.stack(
-        [[find_highlight(image, camera, centre, radius) for centre in centres] for image in images],
-        axis=1,
+        [[find_highlight(frame, camera, c, radius) for c in centres] for frame in frames], axis=1
     )
     return BallSet(centres, np.array([s for _, s in fits]), highlights, radius, plane)
 
@@ -294,12 +296,20 @@ def _huber_fit(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, floa
 
 
 def find_highlight(
-    image: np.ndarray, camera: Camera, centre: np.ndarray, radius_mm: float
+    frame: LinearFrame, camera: Camera, centre: np.ndarray, radius_mm: float
 ) -> np.ndarray:
     """Pixel (2,) of the LED's glint on a ball, NaN where there is none.
 
-    The glint's flanks tell its place: their logarithm falls off steeply and evenly all round,
-    while the top is clipped and its centroid jumps with every pixel that saturates.
+    What is not saturated tells its place: the logarithm of the flanks falls off steeply and
+    evenly all round, while the centroid of a clipped top jumps with every pixel that saturates.
+
+    Parameters
+    ----------
+    frame : LinearFrame
+    camera : Camera
+    centre : (3,) float
+        Of the ball, {C}, mm.
+    radius_mm : float
     """
     nothing = np.full(2, np.nan)
     rim = outline(camera, centre, radius_mm, _HIGHLIGHT_REACH)
@@ -309,44 +319,52 @@ def find_highlight(
     high = np.ceil(rim.max(axis=0)).astype(int) + 1
     if (low < 0).any() or (high > camera.size_px).any():
         return nothing
-    window = image[low[1] : high[1], low[0] : high[0]].astype(np.float64)
+    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    window = frame.intensity[part].astype(np.float64)
     inside = np.zeros(window.shape, np.uint8)
     cv2.fillConvexPoly(inside, np.round(rim - low).astype(np.int32), 1)
     window = np.where(inside > 0, window, 0)
-    top, card = float(window.max()), max(float(np.median(image)), 0.0)
-    floor = max(_FLANK[0] * top, min(2 * card, 0.5 * top))
+    top, card = float(window.max()), max(float(np.median(frame.intensity)), 0.0)
+    floor = max(_FOOT * top, min(2 * card, 0.5 * top))
     if top <= 2 * card or top <= 0:
         return nothing
     labels, _ = ndimage.label(window > floor, structure=np.ones((3, 3)))
     blob = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
-    return _blob_centre(window, blob, floor, top) + low
+    return _blob_centre(window, blob, blob & frame.saturated[part], floor) + low
 
 
-def _blob_centre(window: np.ndarray, blob: np.ndarray, floor: float, top: float) -> np.ndarray:
-    """Centre (2,) of a blob: ln I = a + b q + c q^2 in q = squared distance, on its flanks.
+def _blob_centre(
+    window: np.ndarray, blob: np.ndarray, plateau: np.ndarray, floor: float
+) -> np.ndarray:
+    """Centre (2,) of a blob: ln I = a + b q + c q^2 off its plateau, q the squared distance.
 
-    A large clipped top is placed by its own outline: its centroid. Where the flanks have too
-    few pixels the centroid of ln(I / floor) has to do.
+    Where there are pixels enough q may grow faster one way than across it. A large clipped top
+    is placed by its own outline: its centroid. Where the flanks have too few pixels the centroid
+    of ln(I / floor) has to do.
     """
-    plateau = blob & (window >= _FLANK[1] * top)
     if np.count_nonzero(plateau) >= _LARGE_TOP_PX:
         return np.array(ndimage.center_of_mass(plateau))[::-1]
     v, u = np.nonzero(blob)
     level = np.log(window[v, u])
     weight = level - np.log(floor)
     centroid = np.array([u @ weight, v @ weight]) / weight.sum()
-    flank = window[v, u] < _FLANK[1] * top
+    flank = ~plateau[v, u]
     u, v, level = u[flank], v[flank], level[flank]
     if len(u) < 8:
         return centroid
 
     def misfit(x: np.ndarray) -> np.ndarray:
-        q = (u - x[0]) ** 2 + (v - x[1]) ** 2
+        across, down = u - x[0], v - x[1]
+        q = across**2 + down**2
+        if len(x) > 5:
+            q = q + x[5] * (across**2 - down**2) + 2 * x[6] * across * down
         return x[2] + x[3] * q + x[4] * q**2 - level
 
     radius2 = max(len(weight) / np.pi, 1.0)
-    start = [*centroid, np.log(top) + 1, -1 / radius2, 0.0]
+    start = [*centroid, level.max() + 1, -1 / radius2, 0.0]
     scale = [0.1, 0.1, 1.0, 1 / radius2, 1 / radius2**2]
+    if len(u) >= _OVAL_PX:
+        start, scale = [*start, 0.0, 0.0], [*scale, 0.3, 0.3]
     centre = least_squares(misfit, start, x_scale=scale, loss="soft_l1", f_scale=0.2).x[:2]
     # The fit may only refine: further than a pixel or so it follows something else.
     return centre if np.linalg.norm(centre - centroid) < 0.5 + 0.3 * np.sqrt(radius2) else centroid

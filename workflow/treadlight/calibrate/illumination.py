@@ -1,4 +1,8 @@
-"""How strongly each LED lights the reference plane, from a card of known albedo."""
+"""How strongly each LED lights the reference plane, from a card of known albedo.
+
+The card's frames hold the beams and the lens; `treadlight.calibrate.beams` tells them apart, and
+the maps here are what the beams' own shape leaves: lamps are not quite round.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,15 +11,14 @@ import cv2
 import numpy as np
 
 from treadlight.errors import CalibrationError
-from treadlight.geometry import Camera, Led, Plane
-from treadlight.geometry.light import map_nodes
+from treadlight.geometry import Camera, Plane
 
 # The card is taken in blocks: that many along the longer side hold any smooth beam.
 _BLOCKS = 48
 # Blocks darker than this share of the bright ones show no card.
 _CARD_SHARE = 0.3
 _MAX_DEGREE = 4
-_MIN_BLOCKS = 30
+MIN_BLOCKS = 30
 # Tukey's biweight: 95 % efficient on Gaussian noise.
 _TUKEY = 4.685
 _MAX_NODES = 1_000_000
@@ -93,6 +96,20 @@ def plane_samples(
     return PlaneSamples(pixels[good], values[good])
 
 
+def require_blocks(samples: PlaneSamples) -> None:
+    """Refuse samples that are too few for a map or a beam.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    if len(samples.values) < MIN_BLOCKS:
+        raise CalibrationError(
+            f"card frames: only {len(samples.values)} blocks of the image show the card, unclipped"
+            " and lit. Check the exposure, and that the card covers the field of view."
+        )
+
+
 def relative_intensities(samples: Sequence[PlaneSamples]) -> np.ndarray:
     """Intensity (n,) of each LED relative to their mean: the median over its samples."""
     medians = [float(np.median(s.values)) if len(s.values) else np.nan for s in samples]
@@ -147,11 +164,7 @@ def fit_smooth_map(samples: PlaneSamples) -> SmoothMap:
     CalibrationError
         There are too few samples.
     """
-    if len(samples.values) < _MIN_BLOCKS:
-        raise CalibrationError(
-            f"card frames: only {len(samples.values)} blocks of the image show the card, unclipped"
-            " and lit. Check the exposure, and that the card covers the field of view."
-        )
+    require_blocks(samples)
     low, high = samples.pixels.min(axis=0), samples.pixels.max(axis=0)
     level = np.log(samples.values)
     best, least = None, np.inf
@@ -189,26 +202,3 @@ def _tukey_fit(terms: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nd
 def map_step(size_px: tuple[int, int]) -> int:
     """Distance between a map's nodes, pixels: 1 up to a megapixel, then as needed for that."""
     return max(1, int(np.ceil(np.sqrt(size_px[0] * size_px[1] / _MAX_NODES))))
-
-
-def radiant_intensity_maps(
-    leds: Sequence[Led], fits: dict[int, SmoothMap], size_px: tuple[int, int]
-) -> np.ndarray:
-    """Maps (n_leds, m, n) float32 at the nodes of `map_nodes`, mm2.
-
-    An LED without a fit gets a constant: its relative intensity in the scale of the others
-    (1 where no LED has one: k_d and k_s then are relative).
-    """
-    rows, columns = map_nodes(size_px, map_step(size_px))
-    u, v = np.meshgrid(columns, rows)
-    pixels = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
-    maps = np.empty((len(leds), len(rows), len(columns)), np.float32)
-    for index, led in enumerate(leds):
-        if led.number in fits:
-            maps[index] = fits[led.number](pixels).reshape(u.shape)
-    known = [k for k, led in enumerate(leds) if led.number in fits]
-    scale = np.mean([maps[k].mean(dtype=np.float64) / leds[k].intensity for k in known] or [1.0])
-    for index, led in enumerate(leds):
-        if led.number not in fits:
-            maps[index] = scale * led.intensity
-    return maps

@@ -10,8 +10,15 @@ from treadlight.calibrate.balls import MIN_BALLS, BallSet
 from treadlight.errors import CalibrationError
 from treadlight.geometry import Camera, Plane
 
-_HUBER = 1.5
-_ROUNDS = 4
+# Tukey's biweight: 95 % efficient on Gaussian noise.
+_TUKEY = 4.685
+_ROUNDS = 10
+_SCALE_ROUNDS = 4
+# A glint further off than this many times what is usual is no glint of that LED and ball.
+_REJECT = 5.0
+# No glint is placed better than this; exact ones would be rejected for rounding.
+_LEAST_ERROR_MM = 1e-3
+_MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -23,13 +30,31 @@ class LedFit:
     number : int
     position : (3,) float64
         {C}, mm.
-    distances_mm : (n,) float64
-        Of the reflected lines from the position, one per ball used.
+    distances_mm : (n_balls,) float64
+        Of the reflected lines from the position; NaN where a ball shows no highlight.
+    used : (n_balls,) bool
+        False also where a line disagrees with the others and had no say.
     """
 
     number: int
     position: np.ndarray
     distances_mm: np.ndarray
+    used: np.ndarray
+
+
+@dataclass(frozen=True)
+class LightFit:
+    """All LEDs and the balls they were found with.
+
+    Attributes
+    ----------
+    leds : tuple of LedFit
+    centres : (n_balls, 3) float64
+        Of the balls, from outlines and highlights, {C}, mm.
+    """
+
+    leds: tuple[LedFit, ...]
+    centres: np.ndarray
 
 
 def reflected_lines(
@@ -62,25 +87,48 @@ def reflected_lines(
 
 
 def intersect_lines(points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The point nearest to lines (n, 3), by Huber's weights on the distances (eq. 6.9 ff.)."""
-    weights = np.ones(len(points))
+    """The point nearest to most of some lines (eqs. 6.9 to 6.13).
+
+    Of the points midway between two lines the one with the least median distance to all is
+    where Tukey's weights start from: up to half of the lines may lead anywhere.
+
+    Parameters
+    ----------
+    points, directions : (n, 3) float
+        mm; unit vectors.
+
+    Returns
+    -------
+    (3,) float64
+        mm.
+    """
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    position = np.zeros(3)
+    moved = np.einsum("nij,nj->ni", across, points)
+    first, second = np.triu_indices(len(points), 1)
+    # The pseudo-inverse, since two lines may be parallel.
+    midway = np.einsum(
+        "nij,nj->ni",
+        np.linalg.pinv(across[first] + across[second], hermitian=True),
+        moved[first] + moved[second],
+    )
+    distances = np.linalg.norm(np.einsum("nij,mj->mni", across, midway) - moved, axis=2)
+    position = midway[np.argmin(np.median(distances, axis=1))]
     for _ in range(20):
+        distance = np.linalg.norm(across @ position - moved, axis=1)
+        scale = _TUKEY * max(_MAD_TO_STD * float(np.median(distance)), 1e-9)
+        weights = np.maximum(0.0, 1 - (distance / scale) ** 2) ** 2
         system = np.sum(weights[:, None, None] * across, axis=0)
-        position = np.linalg.solve(system, np.einsum("n,nij,nj->i", weights, across, points))
-        distance = np.linalg.norm(np.einsum("nij,nj->ni", across, position - points), axis=1)
-        scale = max(1.4826 * float(np.median(distance)), 1e-9)
-        weights = np.minimum(1.0, _HUBER * scale / np.maximum(distance, 1e-12))
+        position = np.linalg.solve(system, weights @ moved)
     return position
 
 
-def calibrate_leds(camera: Camera, balls: BallSet, numbers: list[int]) -> list[LedFit]:
+def calibrate_leds(camera: Camera, balls: BallSet, numbers: list[int]) -> LightFit:
     """All LEDs and, with them, the balls' centres, in one fit.
 
     The outlines place each ball to a fraction of a pixel, yet an error of the centre turns the
     normal by that over the radius. All highlights of a ball share its centre, so the centres
     are unknowns too, held by their outlines: the fit weighs both by what their residuals show.
+    Highlights that disagree with the rest are rejected, and may come back as the fit changes.
 
     Parameters
     ----------
@@ -92,56 +140,91 @@ def calibrate_leds(camera: Camera, balls: BallSet, numbers: list[int]) -> list[L
     Raises
     ------
     CalibrationError
-        No LED is seen in `MIN_BALLS` balls.
+        No LED is seen in `MIN_BALLS` balls that agree.
     """
-    seen = np.isfinite(balls.highlights).all(axis=2)
-    used = np.flatnonzero(seen.sum(axis=0) >= MIN_BALLS)
-    if not len(used):
+    points, directions = _mirrored(camera, balls, balls.centres)
+    trusted = np.isfinite(points).all(axis=2)
+    images = _with_enough_balls(trusted)
+    positions = np.full((len(numbers), 3), np.nan)
+    for k in images:
+        chosen = trusted[:, k]
+        positions[k] = intersect_lines(points[chosen, k], directions[chosen, k])
+    # What all highlights of a ball share is its outline's error, which the fit will mend.
+    errors = _errors(camera, balls, positions, balls.centres)
+    trusted = _agreeing(errors - _shared(errors)[:, None], trusted)
+    for _ in range(_ROUNDS):
+        images = _with_enough_balls(trusted)
+        positions[images], centres = _bundle(camera, balls, images, trusted, positions[images])
+        errors = _errors(camera, balls, positions, centres)
+        before, trusted = trusted, _agreeing(errors, trusted)
+        if (before == trusted).all():
+            break
+    points, directions = _mirrored(camera, balls, centres)
+    distances = np.linalg.norm(np.cross(positions - points, directions), axis=2)
+    leds = [LedFit(numbers[k], positions[k], distances[:, k], before[:, k]) for k in images]
+    return LightFit(tuple(leds), centres)
+
+
+def _with_enough_balls(trusted: np.ndarray) -> np.ndarray:
+    images = np.flatnonzero(trusted.sum(axis=0) >= MIN_BALLS)
+    if not len(images):
         raise CalibrationError(
-            f"balls frames: no LED shows a highlight on {MIN_BALLS} balls. Check the exposure:"
-            " highlights must be brighter than the card."
+            f"balls frames: no LED shows a highlight on {MIN_BALLS} balls that agree on where it"
+            " is. Check the exposure: highlights must be brighter than the card."
         )
-    start = np.stack([_single(camera, balls, int(k)) for k in used])
-    positions, centres = _bundle(camera, balls, used, start)
-    return [
-        LedFit(numbers[k], position, _distances(camera, balls, int(k), position, centres))
-        for k, position in zip(used, positions, strict=True)
-    ]
+    return images
 
 
-def _single(camera: Camera, balls: BallSet, image: int) -> np.ndarray:
-    points, directions = _lines(camera, balls, image, balls.centres)
-    return intersect_lines(points, directions)
-
-
-def _lines(
-    camera: Camera, balls: BallSet, image: int, centres: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    seen = np.isfinite(balls.highlights[:, image]).all(axis=1)
+def _mirrored(camera: Camera, balls: BallSet, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points and directions (n_balls, n_images, 3) of all reflected lines; NaN where none."""
+    shape = balls.highlights.shape[:2]
     points, directions = reflected_lines(
-        camera, balls.highlights[seen, image], centres[seen], balls.radius_mm
+        camera,
+        balls.highlights.reshape(-1, 2),
+        np.repeat(centres, shape[1], axis=0),
+        balls.radius_mm,
     )
-    hit = np.isfinite(points).all(axis=1)
-    return points[hit], directions[hit]
+    return points.reshape(*shape, 3), directions.reshape(*shape, 3)
 
 
-def _distances(
-    camera: Camera, balls: BallSet, image: int, position: np.ndarray, centres: np.ndarray
+def _errors(
+    camera: Camera, balls: BallSet, positions: np.ndarray, centres: np.ndarray
 ) -> np.ndarray:
-    points, directions = _lines(camera, balls, image, centres)
-    offset = position - points
-    along = np.sum(offset * directions, axis=1, keepdims=True) * directions
-    return np.linalg.norm(offset - along, axis=1)
+    """`_glint_errors` of all highlights, (n_balls, n_images, 2) mm; NaN where none."""
+    seen = np.isfinite(balls.highlights).all(axis=2) & np.isfinite(positions).all(axis=1)
+    ball, image = np.nonzero(seen)
+    errors = np.full((*seen.shape, 2), np.nan)
+    errors[seen] = _glint_errors(
+        camera, balls.highlights[seen], centres[ball], positions[image], balls.radius_mm
+    )
+    return errors
+
+
+def _shared(errors: np.ndarray) -> np.ndarray:
+    """Median error (n_balls, 2) of each ball's highlights, 0 where it has none."""
+    known = [row[np.isfinite(row[:, 0])] for row in errors]
+    return np.stack([np.median(row, axis=0) if len(row) else np.zeros(2) for row in known])
+
+
+def _agreeing(errors: np.ndarray, trusted: np.ndarray) -> np.ndarray:
+    """Which highlights (n_balls, n_images) are within `_REJECT` of what is usual."""
+    usual = _MAD_TO_STD * float(np.nanmedian(np.abs(errors[trusted])))
+    with np.errstate(invalid="ignore"):
+        return np.linalg.norm(errors, axis=2) <= _REJECT * max(usual, _LEAST_ERROR_MM)
 
 
 def _bundle(
-    camera: Camera, balls: BallSet, used: np.ndarray, start: np.ndarray
+    camera: Camera,
+    balls: BallSet,
+    images: np.ndarray,
+    trusted: np.ndarray,
+    start: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions (k, 3) and centres (n, 3) that explain highlights and outlines best."""
     axes = _plane_axes(balls.plane)
-    ball, image = np.nonzero(np.isfinite(balls.highlights[:, used]).all(axis=2))
-    pixels = balls.highlights[ball, used[image]]
-    count, leds = len(balls.centres), len(used)
+    ball, image = np.nonzero(trusted[:, images])
+    pixels = balls.highlights[ball, images[image]]
+    count, leds = len(balls.centres), len(images)
     outline_std = np.where(np.isfinite(balls.centre_std_mm), balls.centre_std_mm, balls.radius_mm)
     outline_std = np.maximum(outline_std, 1e-6)
 
@@ -160,9 +243,9 @@ def _bundle(
         pattern[2 * len(ball) + column, 3 * leds + column] = 1
 
     x = np.concatenate([start.ravel(), np.zeros(2 * count)])
-    for _ in range(_ROUNDS):
+    for _ in range(_SCALE_ROUNDS):
         # Standard deviations follow from the residuals themselves, robustly.
-        glint_std = max(1.4826 * float(np.median(np.abs(glint_errors(x)))), 1e-6)
+        glint_std = max(_MAD_TO_STD * float(np.median(np.abs(glint_errors(x)))), 1e-6)
 
         def residuals(x: np.ndarray, glint_std: float = glint_std) -> np.ndarray:
             shifts = x[3 * leds :].reshape(-1, 2) / outline_std[:, None]

@@ -1,7 +1,8 @@
 """Calibrate the LED positions from their highlights on chrome balls.
 
 Writes leds.json: the entry `leds` of a calibration (null without `balls` frames or without a
-reference plane).
+reference plane), the `balls` that were found, and of every highlight its `rays` entry: LED, ball,
+pixel, how far the reflected ray passes the LED, and whether it had a say in the LED's position.
 """
 
 import argparse
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         frames = tuple(sorted(frames, key=lambda frame: frame.led or 0))
         reader = FrameReader(capture)
         found = find_balls(
-            _Intensities(reader, frames),
+            _Frames(reader, frames),
             rig.camera,
             rig.reference_plane,
             balls.count,
@@ -56,9 +57,16 @@ def run(args: argparse.Namespace) -> int:
         )
         if len(found.centres) < balls.count:
             print(f"LEDs: {len(found.centres)} of {balls.count} balls found.", file=sys.stderr)
-        fits = calibrate_leds(rig.camera, found, [frame.led or 0 for frame in frames])
-        intensities = _intensities(capture, reader, rig, fits)
-        store.write_json(args.out, {"leds": _content(fits, intensities)})
+        numbers = [frame.led or 0 for frame in frames]
+        fit = calibrate_leds(rig.camera, found, numbers)
+        _say_rejected(fit, numbers)
+        intensities = _intensities(capture, rig, fit.leds)
+        content = {
+            "leds": _content(fit.leds, intensities),
+            "balls": [{"ball": k, "centre": centre} for k, centre in enumerate(fit.centres)],
+            "rays": _rays(fit, found.highlights, numbers),
+        }
+        store.write_json(args.out, content)
 
     return run_stage(
         args,
@@ -70,8 +78,8 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-class _Intensities(Sequence):
-    """The frames' intensities, decoded when asked for: one image is held at a time."""
+class _Frames(Sequence):
+    """Frames that are decoded when asked for: one image is held at a time."""
 
     def __init__(self, reader, frames):
         self.reader, self.frames = reader, frames
@@ -80,42 +88,74 @@ class _Intensities(Sequence):
         return len(self.frames)
 
     def __getitem__(self, index):
-        return self.reader.read(self.frames[index]).intensity
+        return self.reader.read(self.frames[index])
 
 
-def _intensities(capture, reader, rig, fits):
+def _intensities(capture, rig, leds):
     """Relative intensity of each LED: from the card, or from what the balls lie on."""
     import numpy as np
 
-    from treadlight.calibrate.illumination import CardFrame, plane_samples, relative_intensities
+    from treadlight.calibrate.beams import solve_beams
+    from treadlight.calibrate.illumination import MIN_BLOCKS, relative_intensities
+    from treadlight.commands.calibrate_illumination import samples_of
 
-    frames = {f.led: f for kind in ("balls", "card") for f in capture.of_kind(kind)}
-    if not {fit.number for fit in fits} <= {f.led for f in capture.of_kind("card")}:
-        # One kind for all: card and ground differ in albedo.
-        frames = {f.led: f for f in capture.of_kind("balls")}
-    samples = []
-    for fit in fits:
-        frame = frames[fit.number]
-        light = reader.read(frame)
-        exposed = light.intensity / np.float32(frame.exposure_s or 1.0)
-        card = CardFrame(fit.number, exposed, light.saturated)
-        samples.append(
-            plane_samples(card, fit.position, rig.reference_plane, rig.camera, albedo=1.0)
-        )
-    return relative_intensities(samples)
+    positions = {led.number: led.position for led in leds}
+    card = {frame.led for frame in capture.of_kind("card")}
+    # One kind for all: card and ground differ in albedo.
+    kind = "card" if set(positions) <= card else "balls"
+    found = samples_of(capture, kind, rig, positions)
+    samples = [found[number] for number in positions]
+    if kind == "balls" or min(len(s.values) for s in samples) < MIN_BLOCKS:
+        return relative_intensities(samples)
+    places = np.stack(list(positions.values()))
+    beams = solve_beams(samples, places, rig.reference_plane, rig.camera).beams
+    intensities = np.array([beam.intensity for beam in beams])
+    return intensities / intensities.mean()
 
 
-def _content(fits, intensities) -> list[dict]:
+def _say_rejected(fit, numbers) -> None:
+    import numpy as np
+
+    rejected = [
+        f"LED {led.number} on ball {ball}"
+        for led in fit.leds
+        for ball in np.flatnonzero(np.isfinite(led.distances_mm) & ~led.used)
+    ]
+    if rejected:
+        print(f"LEDs: rays that disagree, rejected: {', '.join(rejected)}.", file=sys.stderr)
+    missing = sorted(set(numbers) - {led.number for led in fit.leds})
+    if missing:
+        print(f"LEDs: left out, too few balls show them: {missing}.", file=sys.stderr)
+
+
+def _content(leds, intensities) -> list[dict]:
     return [
         {
-            "led": fit.number,
-            "position": fit.position,
+            "led": led.number,
+            "position": led.position,
             "intensity": float(intensity),
             "residual_mm": {
-                "mean": float(fit.distances_mm.mean()),
-                "max": float(fit.distances_mm.max()),
+                "mean": float(led.distances_mm[led.used].mean()),
+                "max": float(led.distances_mm[led.used].max()),
             },
-            "balls": len(fit.distances_mm),
+            "balls": int(led.used.sum()),
         }
-        for fit, intensity in zip(fits, intensities, strict=True)
+        for led, intensity in zip(leds, intensities, strict=True)
+    ]
+
+
+def _rays(fit, highlights, numbers) -> list[dict]:
+    """One entry per LED and ball that shows it."""
+    import numpy as np
+
+    return [
+        {
+            "led": led.number,
+            "ball": int(ball),
+            "pixel": highlights[ball, numbers.index(led.number)],
+            "distance_mm": float(led.distances_mm[ball]),
+            "used": bool(led.used[ball]),
+        }
+        for led in fit.leds
+        for ball in np.flatnonzero(np.isfinite(led.distances_mm))
     ]

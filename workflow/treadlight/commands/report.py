@@ -1,4 +1,4 @@
-"""Write a tire's report: maps, sections, ribs, trend, quality, warnings first.
+"""Write a tire's report: maps, sections, ribs, trend, quality, LEDs, warnings first.
 
 The page is one HTML file that needs no network. Refused captures are told, not drawn.
 """
@@ -32,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--quality", type=Path, nargs="+", required=True, help="quality.json, in the same order"
     )
     parser.add_argument("--calibrations", nargs="*", default=[], help="ids, in the same order")
+    parser.add_argument(
+        "--leds", type=Path, nargs="*", default=[], help="leds.json of each calibration"
+    )
     parser.add_argument("--size", default="", help="the tire's size, such as 215/70R16")
     parser.add_argument("--out", type=Path, required=True, help="report.html to write")
 
@@ -65,11 +68,12 @@ def run(args: argparse.Namespace) -> int:
             warnings=[str(w) for w in wear.attrs.get("warnings", ())],
             trend=trend,
             figures=_figures(usable, wear, trend),
+            calibration_figures=[f for f in map(_led_distances, args.leds) if f],
         )
         store.write_text(args.out, tire_page(content))
 
     # A refused capture is something to report, no reason to refuse the report.
-    inputs = [args.wear, args.trend, *args.profiles, *args.quality]
+    inputs = [args.wear, args.trend, *args.profiles, *args.quality, *args.leds]
     work()
     common.write_provenance(args, inputs, [args.out])
     return 0
@@ -222,6 +226,34 @@ def _trend(rows: list[dict[str, str]]) -> tuple[bytes, str, str] | None:
     ]
     png = trend_figure(regions, unit, "tread depth (mm)", "Depth of the ribs")
     return png, "Depth of each rib over mileage", "Bars are one standard uncertainty."
+
+
+def _led_distances(path: Path) -> tuple[bytes, str, str] | None:
+    """The dissertation's figure 7.6 of one calibration; None where no LED was found."""
+    import numpy as np
+
+    from treadlight import store
+    from treadlight.report import box_figure
+
+    content = store.read_json(path)
+    if not content.get("leds"):
+        return None
+    groups = []
+    for led in content["leds"]:
+        rays = [ray for ray in content["rays"] if ray["led"] == led["led"]]
+        distance = np.array([ray["distance_mm"] for ray in rays])
+        used = np.array([ray["used"] for ray in rays])
+        groups.append((str(led["led"]), distance[used], distance[~used]))
+    png = box_figure(groups, "LED", "distance (mm)", path.parent.name)
+    mean = np.concatenate([distance for _, distance, _ in groups]).mean()
+    rejected = sum(len(crosses) for _, _, crosses in groups)
+    caption = (
+        f"Distance of the rays reflected by the balls from the LED found: {mean:.2f} mm in the"
+        f" mean of {len(content['rays']) - rejected} rays."
+    )
+    if rejected:
+        caption += f" {rejected} more disagreed and were rejected (crosses, the far ones on top)."
+    return png, f"Distance of reflected rays from the LEDs, {path.parent.name}", caption
 
 
 def _slope(row: dict[str, Any], unit: str) -> float | None:

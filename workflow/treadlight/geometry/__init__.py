@@ -3,8 +3,8 @@
 from treadlight.geometry.axis import Axis
 from treadlight.geometry.camera import Camera
 from treadlight.geometry.grid import CylinderGrid
-from treadlight.geometry.light import Illumination
+from treadlight.geometry.light import Illumination, Vignetting
 from treadlight.geometry.plane import Plane
 from treadlight.geometry.rig import Led, Rig
 
-__all__ = ["Axis", "Camera", "CylinderGrid", "Illumination", "Led", "Plane", "Rig"]
+__all__ = ["Axis", "Camera", "CylinderGrid", "Illumination", "Led", "Plane", "Rig", "Vignetting"]

@@ -10,6 +10,29 @@ from treadlight.geometry.rig import Led
 
 
 @dataclass(frozen=True)
+class Vignetting:
+    """What a lens leaves of the light: 1 on the optical axis, less towards the corners.
+
+    Attributes
+    ----------
+    linear, quadratic : float
+        V = 1 + linear q + quadratic q^2, where q = tan^2 of the angle off the optical axis.
+    reach : float
+        q up to which it is known; V is held constant beyond.
+    """
+
+    linear: float = 0.0
+    quadratic: float = 0.0
+    reach: float = 0.0
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """V (...) at points (..., 3) in {C}, of any unit."""
+        q = (points[..., 0] ** 2 + points[..., 1] ** 2) / points[..., 2] ** 2
+        q = np.minimum(q, self.reach)
+        return 1 + q * (self.linear + q * self.quadratic)
+
+
+@dataclass(frozen=True)
 class Illumination:
     """The LEDs as near point sources whose strength depends on the direction.
 
@@ -25,6 +48,8 @@ class Illumination:
         Scaled so that intensity / exposure = E (n.l) on a Lambertian surface of albedo 1.
     step_px : int
         Distance between the maps' nodes, pixels. Maps have at least two nodes each way.
+    vignetting : Vignetting
+        Of the camera's lens.
     """
 
     leds: tuple[Led, ...]
@@ -32,14 +57,15 @@ class Illumination:
     camera: Camera
     radiant_intensity: np.ndarray
     step_px: int = 1
+    vignetting: Vignetting = Vignetting()
 
     def irradiance(self, index: int, points: np.ndarray) -> np.ndarray:
-        """E at a surface that faces the LED, for points in front of it.
+        """E at a surface that faces the LED, as the camera sees it, for points in front of it.
 
         The map is looked up where the line from the LED through the point meets the reference
         plane (beyond the image: at its border) and divided by the squared distance, so that a
         point off the plane gets its own irradiance (the dissertation's 6.3.4 takes the
-        plane's).
+        plane's). What the lens leaves of the light is that of the point's own pixel.
 
         Parameters
         ----------
@@ -69,6 +95,7 @@ class Illumination:
             tuple(float(k) for k in self.camera.distortion),
             self.radiant_intensity[index],
             self.step_px,
+            (self.vignetting.linear, self.vignetting.quadratic, self.vignetting.reach),
             lit,
         )
         return lit.reshape(points.shape[:-1])

@@ -5,12 +5,12 @@ import numpy as np
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def irradiance(points, position, normal, height, intrinsics, distortion, table, step, out):
+def irradiance(points, position, normal, height, intrinsics, distortion, table, step, lens, out):
     """Irradiance at points (n, 3), into out (n,); each point on its own, so order is free.
 
     `height` is the LED's signed distance from the reference plane, `intrinsics` fx, skew, cx,
-    fy, cy, `table` one LED's map; see `Illumination.irradiance`, whose plain numpy twin stands
-    in the tests.
+    fy, cy, `table` one LED's map, `lens` the vignetting; see `Illumination.irradiance`, whose
+    plain numpy twin stands in the tests.
     """
     fx, skew, cx, fy, cy = intrinsics
     k1, k2, p1, p2, k3 = distortion
@@ -40,4 +40,7 @@ def irradiance(points, position, normal, height, intrinsics, distortion, table, 
         a, b = u - left, v - top
         upper = (1 - a) * table[top, left] + a * table[top, left + 1]
         lower = (1 - a) * table[top + 1, left] + a * table[top + 1, left + 1]
-        out[i] = ((1 - b) * upper + b * lower) / squared
+        seen = (points[i, 0] ** 2 + points[i, 1] ** 2) / points[i, 2] ** 2
+        seen = min(seen, lens[2])
+        passed = 1 + seen * (lens[0] + seen * lens[1])
+        out[i] = passed * ((1 - b) * upper + b * lower) / squared

@@ -1,19 +1,30 @@
 """How noisy a frame is where it is dark, from the frame itself."""
 
 import numpy as np
+from scipy.special import gammaincinv
 
-_MAD_TO_STD = 1.4826
-# A second difference of white noise has six times its variance.
-_SECOND_DIFFERENCE = np.sqrt(6.0)
-_DARK_SHARE = 10
+_BLOCK = 8
+# A mixed second difference of white noise has 36 times its variance; neighbouring ones share
+# pixels, so that a block of them counts as this many independent ones.
+_GAIN = 36.0
+_INDEPENDENT = _BLOCK**2 / (70 / 36) ** 2
+_DARK_SHARE = 0.1
+# Texture and edges reach into some blocks and only add to what is seen there, so low quantiles
+# are taken: of the dark blocks, and of all, should no dark one be without.
+_QUANTILE_OF_DARK = 0.25
+_QUANTILE_OF_ALL = 0.05
 
 
 def dark_noise(frame: np.ndarray) -> float:
     """Standard deviation of a frame's intensity where there is little light.
 
-    The median absolute second difference along the rows, over the darkest tenth of the pixels:
-    differences cancel what is smooth, the median what is not noise. Never below a 1/sqrt(12) of
-    the smallest step between two intensities there, which is what quantisation adds.
+    In blocks of 8 x 8 pixels the variance of the mixed second difference (along rows, then
+    columns) is that of the noise plus that of texture and edges; what is smooth cancels. The
+    lower quartile over the darkest tenth of the blocks, or the twentieth over all if that is
+    less, is the noise's, once the quantile itself is allowed for. Dark is what a block's mean
+    says: the darkest pixels would be those that noise made dark. Blocks without any contrast
+    (clipped at black, masked) are left out. Never below a 1/sqrt(12) of the smallest step
+    between two intensities in the dark, which is what quantisation adds.
 
     Parameters
     ----------
@@ -23,15 +34,33 @@ def dark_noise(frame: np.ndarray) -> float:
     Returns
     -------
     float
-        In the unit of the frame; 0 for a frame without contrast.
+        In the unit of the frame; 0 for a frame without contrast, or smaller than a block.
     """
     second = frame[:, :-2] - 2 * frame[:, 1:-1] + frame[:, 2:]
-    level = frame[:, 1:-1]
-    known = np.isfinite(second)
+    mixed = second[:-2] - 2 * second[1:-1] + second[2:]
+    inner = _blocks(frame[1:-1, 1:-1])
+    variance = np.mean(_blocks(mixed) ** 2, axis=(1, 3)) / _GAIN
+    level = np.mean(inner, axis=(1, 3))
+    known = np.isfinite(variance) & (variance > 0)
     if not known.any():
         return 0.0
-    dark = known & (level <= np.percentile(level[known], _DARK_SHARE))
-    spread = _MAD_TO_STD * float(np.median(np.abs(second[dark]))) / _SECOND_DIFFERENCE
-    steps = np.diff(np.unique(level[dark]))
+    dark = known & (level <= np.quantile(level[known], _DARK_SHARE))
+    spread = min(
+        _from_quantile(variance[dark], _QUANTILE_OF_DARK),
+        _from_quantile(variance[known], _QUANTILE_OF_ALL),
+    )
+    steps = np.diff(np.unique(inner.transpose(0, 2, 1, 3)[dark]))
     quantisation = float(steps.min()) / np.sqrt(12) if steps.size else 0.0
     return max(spread, quantisation)
+
+
+def _blocks(image: np.ndarray) -> np.ndarray:
+    """(rows, `_BLOCK`, columns, `_BLOCK`) of an image (h, w), less what fills no block."""
+    rows, columns = (size // _BLOCK for size in image.shape)
+    return image[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK)
+
+
+def _from_quantile(variance: np.ndarray, quantile: float) -> float:
+    """Standard deviation of noise whose variances in blocks (n,) have this quantile."""
+    low = 2 * gammaincinv(_INDEPENDENT / 2, quantile) / _INDEPENDENT
+    return float(np.sqrt(np.quantile(variance, quantile) / low))

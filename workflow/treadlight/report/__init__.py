@@ -3,6 +3,7 @@
 from treadlight.report.archive_page import ArchivePage, CaptureLine, TireCard, archive_page
 from treadlight.report.figures import (
     Map,
+    box_figure,
     map_figure,
     section_figure,
     thumbnail,
@@ -20,6 +21,7 @@ __all__ = [
     "TirePage",
     "archive_page",
     "block_size",
+    "box_figure",
     "map_figure",
     "reduce_map",
     "section_figure",

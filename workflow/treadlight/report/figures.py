@@ -142,6 +142,38 @@ def trend_figure(
     return _png(figure)
 
 
+def box_figure(
+    groups: Sequence[tuple[str, np.ndarray, np.ndarray]], x: str, label: str, title: str
+) -> bytes:
+    """Box and whiskers per group; whiskers reach 1.5 times the box, circles are beyond.
+
+    Parameters
+    ----------
+    groups : sequence of (name, values, rejected)
+        Arrays (n,) and (m,); the rejected ones are crosses, at the upper border if they are
+        further off than that.
+    x, label, title : str
+    """
+    figure = Figure(figsize=(_WIDTH_IN, 3.6), layout="constrained")
+    ax = figure.subplots()
+    ax.boxplot(
+        [values for _, values, _ in groups],
+        tick_labels=[name for name, _, _ in groups],
+        flierprops={"markersize": 4},
+        medianprops={"color": matplotlib.colormaps["viridis"](0.3)},
+    )
+    values = np.concatenate([values for _, values, _ in groups])
+    top = 1.1 * float(values.max(initial=0.0)) or 1.0
+    for place, (_, _, rejected) in enumerate(groups, start=1):
+        height = np.minimum(rejected, top)
+        where = np.full(len(height), place)
+        (crosses,) = ax.plot(where, height, "x", color="#c03030", clip_on=False)
+        crosses.set_in_layout(False)
+    ax.set_ylim(0, top)
+    _finish(ax, x, label, title)
+    return _png(figure)
+
+
 def _shades(count: int) -> list[Any]:
     scale = matplotlib.colormaps["viridis"]
     return [scale(k / max(1, count - 1) * 0.85) for k in range(count)]

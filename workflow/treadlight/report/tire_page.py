@@ -54,7 +54,7 @@ class TirePage:
         Beside those in the captures' quality.
     trend : list of dict
         Rows of trend.csv.
-    figures : list of (png, alt, caption)
+    figures, calibration_figures : list of (png, alt, caption)
     """
 
     tire: str
@@ -65,6 +65,7 @@ class TirePage:
     warnings: list[str]
     trend: list[dict[str, str]]
     figures: list[tuple[bytes, str, str]] = field(default_factory=list)
+    calibration_figures: list[tuple[bytes, str, str]] = field(default_factory=list)
 
 
 def tire_page(content: TirePage) -> str:
@@ -88,6 +89,9 @@ def tire_page(content: TirePage) -> str:
     usable = [c for c in content.captures if not c.refused and "refused" not in c.quality]
     if usable:
         body += [html.heading(2, "Quality"), _quality(usable)]
+    if content.calibration_figures:
+        body.append(html.heading(2, "Calibration of the LEDs"))
+        body += [html.image(*figure) for figure in content.calibration_figures]
     return html.page(f"Tire {content.tire}", body)
 
 
