@@ -11,10 +11,12 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate import prior
 from treadlight.integrate.bias import remove_bias, with_path_variance
 from treadlight.integrate.confirm import confirm
+from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
-from treadlight.integrate.slots import ClosedTread, close_cuts, slot_depths
+from treadlight.integrate.sight import bridged_surface, seen_on
+from treadlight.integrate.slots import ClosedTread, close_cuts
 from treadlight.integrate.solve import Problem, Solution, integrate
 from treadlight.integrate.uncertainty import (
     HeldOut,
@@ -118,11 +120,18 @@ def integrate_capture(
     photometry, problem, solution = case.solve(case.laser.select(case.closed.on_tread))
     closed, laser = case.closed, case.laser
     std = factor * sampled_std(problem, solution, grid)
-    depth, depth_std = slot_depths(closed.slots, solution.r, laser.select(closed.in_slot))
+    depth, depth_std = slot_depths(
+        closed.slots,
+        closed.met,
+        solution.r,
+        laser.select(closed.in_slot),
+        case.tread_depth,
+        grid,
+    )
     inside = closed.slots.mask
     known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
     top = np.where(known, solution.r, np.nan)
-    r = np.where(inside, top - depth, top)
+    r = np.where(inside, top - closed.opening * depth, top)
     slope = _solved_slopes(top, solution, problem.edges, grid)
     return Profile(
         r=r,
@@ -160,6 +169,8 @@ class _Case:
         See `_relative_depth`.
     walls : (n, m) bool
         Steps of the first surface.
+    tread_depth : float
+        Of the grooves, mm; NaN where there is none.
     spacing, shared_rows : float
         Distance of sections, cells along theta; see `LaserSections`.
     usual_std, noise : float
@@ -175,6 +186,7 @@ class _Case:
     outline: np.ndarray
     depth: np.ndarray
     walls: np.ndarray
+    tread_depth: float
     spacing: float
     shared_rows: float
     usual_std: float
@@ -217,7 +229,9 @@ def _prepare(
     start = prior.complete(surface.r)
     usual_std = float(np.nanmedian(surface.r_std))
     spacing = prior.section_spacing(sections.encoder, grid)
-    fields = [f for f in (view_field(v, grid) for v in views) if f is not None]
+    bridged = bridged_surface(start, usual_std, spacing, grid)
+    seen = (view_field(seen_on(v, bridged, grid), grid) for v in views)
+    fields = [f for f in seen if f is not None]
     laser = laser_cells(
         sections.r,
         sections.theta,
@@ -238,9 +252,9 @@ def _prepare(
     fields = [_outside(f, closed.reach) for f in fields]
     # Two sections' errors are spread over the cells between them.
     bridge_std = usual_std * np.sqrt(2 / spacing)
-    bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
+    unsure = closed.bridged | (closed.reach & np.isfinite(surface.r))
     first = FirstSurface(
-        np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
+        np.where(unsure, closed.r, surface.r), np.where(unsure, bridge_std, surface.r_std)
     )
     regions = tread.find_regions(closed.r, grid)
     outline = prior.outline(closed.r, regions, grid)
@@ -257,6 +271,7 @@ def _prepare(
         outline,
         _relative_depth(closed.r, regions, grid),
         prior.step_height(closed.r, np.full(start.shape, usual_std), grid) > 0,
+        regions.depth_mm,
         spacing,
         sections.shared_rows,
         usual_std,
