@@ -9,8 +9,6 @@ from treadlight.integrate.cues import MAD_TO_STD
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.patches import Patches, kinds_of
 
-# A line is as wide as this: nearer to a wall part of it is on the lip.
-_CLEAR_CELLS = 2.0
 # The depth of a cell is the median of this many points next to it in the same slot.
 _NEAREST = 60
 _LEAST_POINTS = 5
@@ -21,6 +19,7 @@ def slot_depths(
     met: np.ndarray,
     top: np.ndarray,
     laser: LaserCells,
+    shared_rows: float,
     tread_depth: float,
     grid: CylinderGrid,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -39,6 +38,9 @@ def slot_depths(
         Closed surface, mm.
     laser : LaserCells
         Points in slots.
+    shared_rows : float
+        How many neighbouring lines share their errors: nearer to a wall than half of that a
+        point is between the floor and the lip.
     tread_depth : float
         Of the grooves, mm; NaN where there is none.
     grid : CylinderGrid
@@ -49,7 +51,7 @@ def slot_depths(
         mm; NaN outside of slots and where nothing tells how deep one is.
     """
     depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
-    laser = laser.select(_clear_of_walls(slots, laser))
+    laser = laser.select(_away_from_walls(slots, laser) > shared_rows / 2)
     label = slots.label[laser.row, laser.column]
     order = np.argsort(label, kind="stable")
     starts = np.searchsorted(label[order], np.arange(1, slots.count + 2))
@@ -81,10 +83,9 @@ def slot_depths(
     return depth, std
 
 
-def _clear_of_walls(slots: Patches, laser: LaserCells) -> np.ndarray:
-    """Points (k,) farther inside their slot than the line is wide."""
-    inside = ndimage.distance_transform_edt(slots.mask)
-    return inside[laser.row, laser.column] > _CLEAR_CELLS
+def _away_from_walls(slots: Patches, laser: LaserCells) -> np.ndarray:
+    """Distance (k,) of points from the outline of their slot, cells."""
+    return ndimage.distance_transform_edt(slots.mask)[laser.row, laser.column]
 
 
 def _between(least: float, most: float) -> tuple[float, float]:

@@ -125,6 +125,7 @@ def integrate_capture(
         closed.met,
         solution.r,
         laser.select(closed.in_slot),
+        case.shared_rows,
         case.tread_depth,
         grid,
     )

@@ -41,8 +41,10 @@ _ASIDE = 0.5
 _SECTIONS = 3
 # Of the tread's depth: what is deeper is a groove's floor or wall.
 _GROOVE_DEPTH = 0.25
-# A wall is drawn over this many cells: as the camera blurs it.
-_WALL_CELLS = 2.0
+# Of the way from a dark line's edge to where it is darkest.
+_MIDDLE = 0.9
+# What fills more of a column runs around the tire: a groove's lip, the rim of what is seen.
+_AROUND = 0.5
 # Of a slot's cells: less is tilted tread with some shadow.
 _SEEN_SHARE = 0.25
 
@@ -147,6 +149,7 @@ def _cut_lines(
     sections know which.
     """
     lines = dark_lines(dark, grid)
+    lines *= (lines > 0).mean(axis=0) < _AROUND
     patches = find_patches(lines > 0, grid)
     return np.where(patches.select(_lost_share(patches, laser, lost) > _MOSTLY).mask, lines, 0)
 
@@ -185,8 +188,9 @@ def _slots(
     filled = ndimage.minimum_filter(ndimage.maximum_filter(outline, 3, mode=mode), 3, mode=mode)
     patches = find_patches(filled & cut, grid)
     share = _lost_share(patches, laser, lost)
-    kept = (patches.share(seen) > _SEEN_SHARE) & ~(share <= _MOSTLY)
-    return patches.select(kept), share[kept] > _MOSTLY
+    met = (share > _MOSTLY) | (patches.share(lines > 0) > _SEEN_SHARE)
+    kept = (patches.share(seen) > _SEEN_SHARE) & (met | np.isnan(share))
+    return patches.select(kept), met[kept]
 
 
 def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
@@ -219,10 +223,15 @@ def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
 def _opening(inside: np.ndarray, lines: np.ndarray) -> np.ndarray:
     """Share (n, m) of the way from a slot's lip to its floor.
 
-    Light falls into a wide slot: only beside its lips darkness tells how far down the wall is.
+    The narrow cuts show how far from its lip a wall is seen, blurred and leaning as it is: they
+    are darkest where their two walls meet. Into the wide ones light falls, and no darkness tells.
     """
-    beside = ndimage.distance_transform_edt(inside) < _WALL_CELLS
-    return np.where(inside, np.where(beside & (lines > 0), lines, 1), 0).astype(np.float32)
+    away = ndimage.distance_transform_edt(inside)
+    middle = away[inside & (lines > _MIDDLE)]
+    wall = max(1.0, float(np.median(middle))) if middle.size else 1.0
+    leaning = np.clip((away - 0.5) / wall, 0, 1)
+    opening = np.where((lines > 0) & (away <= wall), lines, leaning)
+    return np.where(inside, opening, 0).astype(np.float32)
 
 
 def _breaks(cues: Cues, grid: CylinderGrid) -> np.ndarray:
