@@ -51,7 +51,8 @@ def slot_depths(
         mm; NaN outside of slots and where nothing tells how deep one is.
     """
     depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
-    laser = laser.select(_away_from_walls(slots, laser) > shared_rows / 2)
+    away = _away_from_walls(slots, laser)
+    laser, away = laser.select(away > shared_rows / 2), away[away > shared_rows / 2]
     label = slots.label[laser.row, laser.column]
     order = np.argsort(label, kind="stable")
     starts = np.searchsorted(label[order], np.arange(1, slots.count + 2))
@@ -63,6 +64,8 @@ def slot_depths(
         points = order[starts[k] : starts[k + 1]]
         if len(points) < _LEAST_POINTS:
             continue
+        # The walls pull at the line as far as its tails reach: the inner half knows best.
+        points = points[away[points] >= np.median(away[points])]
         place = np.column_stack([laser.row[points], laser.column[points]])
         _, index = cKDTree(place).query(own, k=min(_NEAREST, len(points)))
         middle = float(np.median(below[points]))

@@ -230,7 +230,7 @@ def _opening(inside: np.ndarray, lines: np.ndarray) -> np.ndarray:
     middle = away[inside & (lines > _MIDDLE)]
     wall = max(1.0, float(np.median(middle))) if middle.size else 1.0
     leaning = np.clip((away - 0.5) / wall, 0, 1)
-    opening = np.where((lines > 0) & (away <= wall), lines, leaning)
+    opening = np.where((lines > 0) & (away <= wall), lines**2, leaning)
     return np.where(inside, opening, 0).astype(np.float32)
 
 
