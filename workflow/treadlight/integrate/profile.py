@@ -28,6 +28,9 @@ from treadlight.integrate.uncertainty import (
 # An edge that keeps less than this share of its weight is a step.
 _STEP_SHARE = 0.05
 _CLEAR_CELLS = 3
+# A pixel's resolution, cells, and how far a step is felt through it.
+_PIXEL_SIGMA = 0.7
+_PIXEL_REACH = 3
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,9 @@ class Profile:
     r, r_std : (n, m) float64
         NaN where nothing supports a value.
     normal : (n, m, 3) float32
-        Unit normal of the integrated surface, components r, theta, z.
+        Unit normal of the integrated surface, components r, theta, z. Beside steps and cuts that
+        of the surface at a pixel's resolution: a lip leans. In narrow cuts, where nobody sees
+        the walls, that of the tread over them.
     material : (3, n, m) float32
         k_d, k_s, alpha.
     laser, photometric, step : (n, m) bool
@@ -133,15 +138,18 @@ def integrate_capture(
     known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
     top = np.where(known, solution.r, np.nan)
     r = np.where(inside, top - closed.opening * depth, top)
+    steps = _steps(solution, grid)
     slope = _solved_slopes(top, solution, problem.edges, grid)
+    seen = _near(steps | inside, grid) & _seen(closed, grid)
+    whole = np.where(seen, _blurred_slopes(r, grid), slope)
     return Profile(
         r=r,
         r_std=np.where(np.isfinite(r), np.where(inside, np.hypot(std, depth_std), std), np.nan),
-        normal=_normals(slope),
+        normal=_normals(np.where(np.isfinite(whole), whole, slope)),
         material=photometry.material,
         laser=_cells(laser, grid),
         photometric=np.isfinite(photometry.slope[0]),
-        step=_steps(solution, grid) | (closed.reach & ~inside),
+        step=steps | (closed.reach & ~inside),
         shadowed=photometry.flags[0] > 0.5,
         saturated=photometry.flags[1] > 0.5,
         held_out=proof,
@@ -339,8 +347,41 @@ def _steps(solution: Solution, grid: CylinderGrid) -> np.ndarray:
 
 def _clear(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     """Cells with no step within a few cells."""
-    mode = ("wrap" if grid.periodic else "nearest", "nearest")
-    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=mode)
+    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=_mode(grid))
+
+
+def _mode(grid: CylinderGrid) -> tuple[str, str]:
+    return ("wrap" if grid.periodic else "nearest", "nearest")
+
+
+def _near(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Cells that feel a step through a pixel's resolution."""
+    return ndimage.maximum_filter(steps, 2 * _PIXEL_REACH + 1, mode=_mode(grid))
+
+
+def _seen(closed: ClosedTread, grid: CylinderGrid) -> np.ndarray:
+    """Cells of the tread and of slots' floors, not of their walls."""
+    lowest = ndimage.minimum_filter(closed.opening, 3, mode=_mode(grid))
+    return ~closed.slots.mask | (lowest == 1)
+
+
+def _blurred_slopes(r: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """dr / (r dtheta) and dr / dz of a surface at a pixel's resolution, (2, n, m)."""
+    known = np.isfinite(r)
+    level = float(r[known].mean()) if known.any() else 0.0
+    weight, total = (
+        ndimage.gaussian_filter(x, _PIXEL_SIGMA, mode=_mode(grid))
+        for x in (known.astype(float), np.where(known, r - level, 0))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        blurred = np.where(known, total / weight + level, np.nan)
+    if grid.periodic:
+        along = np.gradient(np.pad(blurred, ((1, 1), (0, 0)), mode="wrap"), axis=0)[1:-1]
+    else:
+        along = np.gradient(blurred, axis=0)
+    return np.stack(
+        [along / (grid.step_theta * blurred), np.gradient(blurred, grid.step_z, axis=1)]
+    )
 
 
 def _solved_slopes(
