@@ -126,7 +126,7 @@ def close_cuts(
     deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
     in_slot = deep & slots.mask[laser.row, laser.column]
     reach = ndimage.maximum_filter(broken.mask, 3, mode=_mode(grid))
-    opening = _opening(slots.mask, lines)
+    opening = _opening(slots.mask, ~tread, lines)
     return ClosedTread(closed, bridged, reach, slots, opening, met, ~off[:count], in_slot)
 
 
@@ -220,13 +220,14 @@ def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
     )
 
 
-def _opening(inside: np.ndarray, lines: np.ndarray) -> np.ndarray:
+def _opening(inside: np.ndarray, groove: np.ndarray, lines: np.ndarray) -> np.ndarray:
     """Share (n, m) of the way from a slot's lip to its floor.
 
     The narrow cuts show how far from its lip a wall is seen, blurred and leaning as it is: they
     are darkest where their two walls meet. Into the wide ones light falls, and no darkness tells.
+    Towards a groove a slot is open.
     """
-    away = ndimage.distance_transform_edt(inside)
+    away = ndimage.distance_transform_edt(inside | groove)
     middle = away[inside & (lines > _MIDDLE)]
     wall = max(1.0, float(np.median(middle))) if middle.size else 1.0
     leaning = np.clip((away - 0.5) / wall, 0, 1)
