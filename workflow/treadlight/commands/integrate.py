@@ -146,7 +146,7 @@ def _read_views(
             view.z.values,
             np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
             *(flags[name] for name in FLAGS),
-            camera,
+            camera=camera,
         )
 
 

@@ -73,7 +73,7 @@ def slot_depths(
         depth[tuple(own.T)] = np.median(below[points][index], axis=1)
         std[tuple(own.T)] = max(spread, float(np.median(laser.std[points])))
         usual[k] = middle, spread
-    for k in np.flatnonzero(np.isnan(usual[:, 0])):
+    for k in map(int, np.flatnonzero(np.isnan(usual[:, 0]))):
         alike = kinds.alike(k) & np.isfinite(usual[:, 0])
         if alike.any():
             middle = np.median(usual[alike, 0])

@@ -38,8 +38,13 @@ def bridged_surface(
     mode = "wrap" if grid.periodic else "nearest"
     median = ndimage.median_filter(start[rows], (size, 1), mode=mode)
     nearest = np.minimum(np.rint(np.arange(grid.shape[0]) / stride).astype(int), len(rows) - 1)
-    around = median[nearest]
-    return np.where(np.abs(start - around) > _OFF_SIGMA * std, around, start)
+    # Beside a wall either side of it is where the tread may be.
+    low, high = (
+        pick(median, (3, 1), mode=mode)[nearest]
+        for pick in (ndimage.minimum_filter, ndimage.maximum_filter)
+    )
+    off = (start < low - _OFF_SIGMA * std) | (start > high + _OFF_SIGMA * std)
+    return np.where(off, median[nearest], start)
 
 
 def seen_on(view: ViewNormals, surface: np.ndarray, grid: CylinderGrid) -> ViewNormals:

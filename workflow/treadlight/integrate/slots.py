@@ -164,7 +164,7 @@ def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.nda
     missed = np.bincount(label[lost], minlength=patches.count + 1)[1:]
     kinds = kinds_of(patches)
     total, gone = points.copy(), missed.copy()
-    for k in np.flatnonzero(points == 0):
+    for k in map(int, np.flatnonzero(points == 0)):
         alike = kinds.alike(k)
         total[k], gone[k] = points[alike].sum(), missed[alike].sum()
     return np.where(total > 0, gone / np.maximum(total, 1), np.nan)
