@@ -132,7 +132,6 @@ def _read_views(
 
     from treadlight import store
     from treadlight.integrate import ViewNormals
-    from treadlight.integrate.gather import FLAGS
 
     for path, camera in paths:
         view = store.open_store(path).load()
@@ -145,8 +144,10 @@ def _read_views(
             view.theta.values,
             view.z.values,
             np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
-            *(flags[name] for name in FLAGS),
-            camera=camera,
+            flags["shadowed"],
+            flags["saturated"],
+            flags["poor_fit"],
+            camera,
         )
 
 

@@ -51,7 +51,9 @@ def slot_depths(
         mm; NaN outside of slots and where nothing tells how deep one is.
     """
     depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
-    away = _away_from_walls(slots, laser)
+    inside = ndimage.distance_transform_edt(slots.mask)
+    widest = 2 * ndimage.maximum(inside, slots.label, np.arange(1, slots.count + 1))
+    away = inside[laser.row, laser.column]
     laser, away = laser.select(away > shared_rows / 2), away[away > shared_rows / 2]
     label = slots.label[laser.row, laser.column]
     order = np.argsort(label, kind="stable")
@@ -79,16 +81,11 @@ def slot_depths(
             middle = np.median(usual[alike, 0])
             spread = np.hypot(np.std(usual[alike, 0]), np.median(usual[alike, 1]))
         elif met[k]:
-            middle, spread = _between(kinds.width[k] * grid.step_z, tread_depth)
+            middle, spread = _between(widest[k] * grid.step_z, tread_depth)
         else:
             continue
         depth[tuple(cells[k].T)], std[tuple(cells[k].T)] = middle, spread
     return depth, std
-
-
-def _away_from_walls(slots: Patches, laser: LaserCells) -> np.ndarray:
-    """Distance (k,) of points from the outline of their slot, cells."""
-    return ndimage.distance_transform_edt(slots.mask)[laser.row, laser.column]
 
 
 def _between(least: float, most: float) -> tuple[float, float]:
