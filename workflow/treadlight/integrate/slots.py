@@ -157,17 +157,19 @@ def _cut_lines(
 def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.ndarray:
     """Share (count,) of the points in each patch that are lost; NaN where nothing tells.
 
-    Patches that no section met have that of their like.
+    That of all patches of its like counts as one more point.
     """
     label = patches.label[laser.row, laser.column]
     points = np.bincount(label, minlength=patches.count + 1)[1:]
-    missed = np.bincount(label[lost], minlength=patches.count + 1)[1:]
+    gone = np.bincount(label[lost], minlength=patches.count + 1)[1:]
     kinds = kinds_of(patches)
-    total, gone = points.copy(), missed.copy()
-    for k in map(int, np.flatnonzero(points == 0)):
-        alike = kinds.alike(k)
-        total[k], gone[k] = points[alike].sum(), missed[alike].sum()
-    return np.where(total > 0, gone / np.maximum(total, 1), np.nan)
+    total, missed = points.astype(float), gone.astype(float)
+    for k in range(patches.count):
+        alike = kinds.alike(k) & (points > 0)
+        if alike.any():
+            total[k] += 1
+            missed[k] += gone[alike].sum() / points[alike].sum()
+    return np.where(total > 0, missed / np.maximum(total, 1), np.nan)
 
 
 def _slots(
