@@ -2,9 +2,10 @@
 
 The first surface knows a slot only where a section crosses it, as a block half the sections'
 distance wide. Photometry knows its outline: inside, shadows of walls that the surface does not
-have break the reflection model, and its walls tilt the normals of the pixels that see them. So
-the tread is integrated with its cuts closed, and the slots are then cut into it as deep as the
-sections that met them say.
+have break the reflection model, and its walls tilt the normals of the pixels that see them; into
+a sipe hardly any light falls, and the laser's line breaks where it crosses one. So the tread is
+integrated with its cuts closed, and the slots are then cut into it as deep as the sections that
+met them say.
 """
 
 from collections.abc import Callable, Sequence
