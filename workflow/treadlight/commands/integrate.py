@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from treadlight import integrate, tread
-    from treadlight.geometry import CylinderGrid
+    from treadlight.archive import Capture
+    from treadlight.geometry import CylinderGrid, Rig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +66,7 @@ def integrate_products(
     import numpy as np
 
     from treadlight import integrate, store, tread
+    from treadlight.archive import read_capture
     from treadlight.geometry import CylinderGrid
 
     surface = store.open_store(args.surface).load()
@@ -73,6 +75,7 @@ def integrate_products(
     grid = CylinderGrid(
         surface.theta.values, surface.z.values, float(surface.attrs["nominal_radius_mm"])
     )
+    capture = read_capture(args.capture)
     warnings = list(args.warning)
     usable = []
     for view in args.views:
@@ -80,7 +83,7 @@ def integrate_products(
         if reason:
             warnings.append(f"{store.store_folder(view).name} is left out: {reason}")
         else:
-            usable.append(view)
+            usable.append((view, _camera(view, capture, rig)))
     sections = integrate.LaserSections(
         laser.r.values,
         laser.theta.values,
@@ -108,15 +111,29 @@ def integrate_products(
     return _dataset(profile, surface, regions, grid), report
 
 
-def _read_views(paths: list[Path]) -> "Iterator[integrate.ViewNormals]":
-    """The views, one in memory at a time."""
+def _camera(view: Path, capture: "Capture", rig: "Rig") -> "np.ndarray | None":
+    """Centre of the camera in {T} (r, theta, z), from the number in the view's name."""
+    import numpy as np
+
+    from treadlight import store
+
+    number = int(store.store_folder(view).name.removeprefix("fov"))
+    if rig.axis is None:
+        return None
+    encoder = np.radians(capture.view(number)[0].encoder_deg or 0.0)
+    return np.array([np.linalg.norm(rig.axis.point), -encoder, 0.0])
+
+
+def _read_views(
+    paths: "list[tuple[Path, np.ndarray | None]]",
+) -> "Iterator[integrate.ViewNormals]":
+    """The views with their cameras, one in memory at a time."""
     import numpy as np
 
     from treadlight import store
     from treadlight.integrate import ViewNormals
-    from treadlight.integrate.gather import FLAGS
 
-    for path in paths:
+    for path, camera in paths:
         view = store.open_store(path).load()
         names = view.quality.attrs["flag_meanings"].split()
         flags = {name: (view.quality.values >> bit) & 1 > 0 for bit, name in enumerate(names)}
@@ -127,7 +144,10 @@ def _read_views(paths: list[Path]) -> "Iterator[integrate.ViewNormals]":
             view.theta.values,
             view.z.values,
             np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
-            *(flags[name] for name in FLAGS),
+            flags["shadowed"],
+            flags["saturated"],
+            flags["poor_fit"],
+            camera,
         )
 
 

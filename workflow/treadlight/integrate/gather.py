@@ -29,6 +29,8 @@ class ViewNormals:
     material : (v, u, 3) float
         k_d, k_s, alpha.
     shadowed, saturated, poor_fit : (v, u) bool
+    camera : (3,) float or None
+        Centre of the camera in {T}: r mm, theta rad, z mm. None if it is not known.
     """
 
     normal: np.ndarray
@@ -40,6 +42,7 @@ class ViewNormals:
     shadowed: np.ndarray
     saturated: np.ndarray
     poor_fit: np.ndarray
+    camera: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,12 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate import prior
 from treadlight.integrate.bias import remove_bias, with_path_variance
 from treadlight.integrate.confirm import confirm
+from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
-from treadlight.integrate.slots import ClosedTread, close_cuts, slot_depths
+from treadlight.integrate.sight import bridged_surface, seen_on
+from treadlight.integrate.slots import ClosedTread, close_cuts
 from treadlight.integrate.solve import Problem, Solution, integrate
 from treadlight.integrate.uncertainty import (
     HeldOut,
@@ -26,6 +28,9 @@ from treadlight.integrate.uncertainty import (
 # An edge that keeps less than this share of its weight is a step.
 _STEP_SHARE = 0.05
 _CLEAR_CELLS = 3
+# A pixel's resolution, cells, and how far a step is felt through it.
+_PIXEL_SIGMA = 0.7
+_PIXEL_REACH = 3
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,9 @@ class Profile:
     r, r_std : (n, m) float64
         NaN where nothing supports a value.
     normal : (n, m, 3) float32
-        Unit normal of the integrated surface, components r, theta, z.
+        Unit normal of the integrated surface, components r, theta, z. Beside steps and cuts that
+        of the surface at a pixel's resolution: a lip leans. In narrow cuts, where nobody sees
+        the walls, that of the tread over them.
     material : (3, n, m) float32
         k_d, k_s, alpha.
     laser, photometric, step : (n, m) bool
@@ -118,20 +125,31 @@ def integrate_capture(
     photometry, problem, solution = case.solve(case.laser.select(case.closed.on_tread))
     closed, laser = case.closed, case.laser
     std = factor * sampled_std(problem, solution, grid)
-    depth, depth_std = slot_depths(closed.slots, solution.r, laser.select(closed.in_slot))
+    depth, depth_std = slot_depths(
+        closed.slots,
+        closed.met,
+        solution.r,
+        laser.select(closed.in_slot),
+        case.shared_rows,
+        case.tread_depth,
+        grid,
+    )
     inside = closed.slots.mask
     known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
     top = np.where(known, solution.r, np.nan)
-    r = np.where(inside, top - depth, top)
+    r = np.where(inside, top - closed.opening * depth, top)
+    steps = _steps(solution, grid)
     slope = _solved_slopes(top, solution, problem.edges, grid)
+    seen = _near(steps | inside, grid) & _seen(closed, grid)
+    whole = np.where(seen, _blurred_slopes(r, grid), slope)
     return Profile(
         r=r,
         r_std=np.where(np.isfinite(r), np.where(inside, np.hypot(std, depth_std), std), np.nan),
-        normal=_normals(slope),
+        normal=_normals(np.where(np.isfinite(whole), whole, slope)),
         material=photometry.material,
         laser=_cells(laser, grid),
         photometric=np.isfinite(photometry.slope[0]),
-        step=_steps(solution, grid) | (closed.reach & ~inside),
+        step=steps | (closed.reach & ~inside),
         shadowed=photometry.flags[0] > 0.5,
         saturated=photometry.flags[1] > 0.5,
         held_out=proof,
@@ -160,6 +178,8 @@ class _Case:
         See `_relative_depth`.
     walls : (n, m) bool
         Steps of the first surface.
+    tread_depth : float
+        Of the grooves, mm; NaN where there is none.
     spacing, shared_rows : float
         Distance of sections, cells along theta; see `LaserSections`.
     usual_std, noise : float
@@ -175,6 +195,7 @@ class _Case:
     outline: np.ndarray
     depth: np.ndarray
     walls: np.ndarray
+    tread_depth: float
     spacing: float
     shared_rows: float
     usual_std: float
@@ -217,7 +238,9 @@ def _prepare(
     start = prior.complete(surface.r)
     usual_std = float(np.nanmedian(surface.r_std))
     spacing = prior.section_spacing(sections.encoder, grid)
-    fields = [f for f in (view_field(v, grid) for v in views) if f is not None]
+    bridged = bridged_surface(start, usual_std, spacing, grid)
+    seen = (view_field(seen_on(v, bridged, grid), grid) for v in views)
+    fields = [f for f in seen if f is not None]
     laser = laser_cells(
         sections.r,
         sections.theta,
@@ -238,9 +261,9 @@ def _prepare(
     fields = [_outside(f, closed.reach) for f in fields]
     # Two sections' errors are spread over the cells between them.
     bridge_std = usual_std * np.sqrt(2 / spacing)
-    bridged = closed.bridged | (closed.reach & np.isfinite(surface.r))
+    unsure = closed.bridged | (closed.reach & np.isfinite(surface.r))
     first = FirstSurface(
-        np.where(bridged, closed.r, surface.r), np.where(bridged, bridge_std, surface.r_std)
+        np.where(unsure, closed.r, surface.r), np.where(unsure, bridge_std, surface.r_std)
     )
     regions = tread.find_regions(closed.r, grid)
     outline = prior.outline(closed.r, regions, grid)
@@ -257,6 +280,7 @@ def _prepare(
         outline,
         _relative_depth(closed.r, regions, grid),
         prior.step_height(closed.r, np.full(start.shape, usual_std), grid) > 0,
+        regions.depth_mm,
         spacing,
         sections.shared_rows,
         usual_std,
@@ -323,8 +347,41 @@ def _steps(solution: Solution, grid: CylinderGrid) -> np.ndarray:
 
 def _clear(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     """Cells with no step within a few cells."""
-    mode = ("wrap" if grid.periodic else "nearest", "nearest")
-    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=mode)
+    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=_mode(grid))
+
+
+def _mode(grid: CylinderGrid) -> tuple[str, str]:
+    return ("wrap" if grid.periodic else "nearest", "nearest")
+
+
+def _near(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Cells that feel a step through a pixel's resolution."""
+    return ndimage.maximum_filter(steps, 2 * _PIXEL_REACH + 1, mode=_mode(grid))
+
+
+def _seen(closed: ClosedTread, grid: CylinderGrid) -> np.ndarray:
+    """Cells of the tread and of slots' floors, not of their walls."""
+    lowest = ndimage.minimum_filter(closed.opening, 3, mode=_mode(grid))
+    return ~closed.slots.mask | (lowest == 1)
+
+
+def _blurred_slopes(r: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """dr / (r dtheta) and dr / dz of a surface at a pixel's resolution, (2, n, m)."""
+    known = np.isfinite(r)
+    level = float(r[known].mean()) if known.any() else 0.0
+    weight, total = (
+        ndimage.gaussian_filter(x, _PIXEL_SIGMA, mode=_mode(grid))
+        for x in (known.astype(float), np.where(known, r - level, 0))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        blurred = np.where(known, total / weight + level, np.nan)
+    if grid.periodic:
+        along = np.gradient(np.pad(blurred, ((1, 1), (0, 0)), mode="wrap"), axis=0)[1:-1]
+    else:
+        along = np.gradient(blurred, axis=0)
+    return np.stack(
+        [along / (grid.step_theta * blurred), np.gradient(blurred, grid.step_z, axis=1)]
+    )
 
 
 def _solved_slopes(

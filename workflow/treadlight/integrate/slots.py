@@ -2,38 +2,35 @@
 
 The first surface knows a slot only where a section crosses it, as a block half the sections'
 distance wide. Photometry knows its outline: inside, shadows of walls that the surface does not
-have break the reflection model, and its walls tilt the normals of the pixels that see them. So
-the tread is integrated with its cuts closed, and the slots are then cut into it as deep as the
-sections that met them say.
+have break the reflection model, and its walls tilt the normals of the pixels that see them; into
+a sipe hardly any light falls, and the laser's line breaks where it crosses one. So the tread is
+integrated with its cuts closed, and the slots are then cut into it as deep as the sections that
+met them say.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate.gather import POOR_FIT, ViewField
+from treadlight.integrate.cues import Cues, dark_lines, read_cues
+from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.patches import Patches, find_patches, kinds_of
 
-# A cell belongs to a slot where this share of the pixels around it does not fit the model.
+# Around a cell of a cut this share of the pixels does not fit the model; in it, the greater part.
 _POOR_SHARE = 0.35
+_MOSTLY = 0.5
 # Mean of (slope's deviation / its usual deviation)^2, both slopes, over nine cells: 2 on a smooth
 # tread, where it exceeds this in one cell of a hundred.
 _TILTED = 5.0
 # Over 4 standard deviations in both slopes of nine cells: never noise. What is tilted and nowhere
 # as much as this, and fits the model, is relief that photometry measures.
 _SURELY_TILTED = 40.0
-_MOST_TILTED = 100.0
-# Steeper cells are walls of something, not tread with a deviation.
-_WALL_SLOPE = 0.35
-_ROUNDS = 4
-_TUKEY = 3.0
-_NEIGHBOURS = np.ones((3, 3), bool)
-# Fewer cells are noise.
-_LEAST_CELLS = 8
+# Of one cell alone: five standard deviations in both slopes.
+_WALL_TILTED = 50.0
 # A point this many standard deviations off the sections beside it is not on the tread; beside
 # a cut, where the line lies partly in it, half as many tell.
 _OFF_SIGMA = 4.0
@@ -45,32 +42,12 @@ _ASIDE = 0.5
 _SECTIONS = 3
 # Of the tread's depth: what is deeper is a groove's floor or wall.
 _GROOVE_DEPTH = 0.25
-# The depth of a cell is the median of this many points next to it in the same slot.
-_NEAREST = 15
-_LEAST_POINTS = 5
-# Cuts of one kind are about equally wide: at most this many times.
-_SAME_WIDTH = 2.0
-_MAD_TO_STD = 1.4826
-
-
-@dataclass(frozen=True)
-class Patches:
-    """Connected cells of the grid (n, m), numbered from 1.
-
-    Attributes
-    ----------
-    label : (n, m) int32
-        Number of the patch, 0 outside.
-    count : int
-    """
-
-    label: np.ndarray
-    count: int
-
-    @property
-    def mask(self) -> np.ndarray:
-        """Cells inside, (n, m) bool."""
-        return self.label > 0
+# Of the way from a dark line's edge to where it is darkest.
+_MIDDLE = 0.9
+# What fills more of a column runs around the tire: a groove's lip, the rim of what is seen.
+_AROUND = 0.5
+# Of a slot's cells: less is tilted tread with some shadow.
+_SEEN_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -87,6 +64,10 @@ class ClosedTread:
         Cells in or beside a cut, whose normals are not the tread's.
     slots : Patches
         Cuts that the camera looks into.
+    opening : (n, m) float32
+        Share of the way from a slot's lip (0) to its floor (1).
+    met : (slots.count,) bool
+        Slots that sections fell into, or into their like.
     on_tread, in_slot : (k,) bool
         Of the laser points. What is neither lies on an edge, or is a ghost.
     """
@@ -95,6 +76,8 @@ class ClosedTread:
     bridged: np.ndarray
     reach: np.ndarray
     slots: Patches
+    opening: np.ndarray
+    met: np.ndarray
     on_tread: np.ndarray
     in_slot: np.ndarray
 
@@ -124,8 +107,10 @@ def close_cuts(
         Distance of sections, cells along theta.
     grid : CylinderGrid
     """
-    poor, cut = _breaks(fields, spacing, grid)
-    broken = _patches(cut, grid)
+    cues = read_cues(fields, spacing, grid)
+    lost = _lost(laser, std, grid)
+    lines = _cut_lines(cues.dark, laser, lost, grid)
+    broken = find_patches(_breaks(cues, grid) | (lines > 0), grid)
     count = len(laser.value)
     sections = _completed(laser, start, std)
     off = _off_tread(sections, broken, std, grid)
@@ -134,14 +119,81 @@ def close_cuts(
     sections, off = sections.select(kept), off[kept]
     closed, _ = _interpolated(start, broken.mask, off, sections, grid)
     # Grooves that run around the tire are drawn well by the sections: they stay.
-    broken = _patches(broken.mask & (depth(closed) < _GROOVE_DEPTH), grid)
+    tread = depth(closed) < _GROOVE_DEPTH
+    broken = find_patches(broken.mask & tread, grid)
     closed, bridged = _interpolated(start, broken.mask, off, sections, grid)
-    slots = _patches(broken.mask & poor, grid)
+    slots, met = _slots(cues, lines, broken.mask & tread, laser, lost, grid)
     below = closed[laser.row, laser.column] - laser.value
     deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
     in_slot = deep & slots.mask[laser.row, laser.column]
     reach = ndimage.maximum_filter(broken.mask, 3, mode=_mode(grid))
-    return ClosedTread(closed, bridged, reach, slots, ~off[:count], in_slot)
+    opening = _opening(slots.mask, ~tread, lines)
+    return ClosedTread(closed, bridged, reach, slots, opening, met, ~off[:count], in_slot)
+
+
+def _lost(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
+    """Points (k,) far off their column of the sections beside, or far less sure than usual.
+
+    In a narrow cut the line breaks: part of it lies on the lips, part is lost, and the middle of
+    what is left is moved either way.
+    """
+    away = np.abs(_median_along(laser, grid) - laser.value)
+    return (away > _OFF_SIGMA * std) | (laser.std > _OFF_SIGMA * std)
+
+
+def _cut_lines(
+    dark: np.ndarray, laser: LaserCells, lost: np.ndarray, grid: CylinderGrid
+) -> np.ndarray:
+    """`dark_lines` without those where the sections find the tread, or found nothing alike.
+
+    Rubber is about as dark as matter gets: what is much darker is a hole or dirt, and the
+    sections know which.
+    """
+    lines = dark_lines(dark, grid)
+    lines *= (lines > 0).mean(axis=0) < _AROUND
+    patches = find_patches(lines > 0, grid)
+    return np.where(patches.select(_lost_share(patches, laser, lost) > _MOSTLY).mask, lines, 0)
+
+
+def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.ndarray:
+    """Share (count,) of the points in each patch that are lost; NaN where nothing tells.
+
+    That of all patches of its like counts as one more point.
+    """
+    label = patches.label[laser.row, laser.column]
+    points = np.bincount(label, minlength=patches.count + 1)[1:]
+    gone = np.bincount(label[lost], minlength=patches.count + 1)[1:]
+    kinds = kinds_of(patches)
+    total, missed = points.astype(float), gone.astype(float)
+    for k in range(patches.count):
+        alike = kinds.alike(k) & (points > 0)
+        if alike.any():
+            total[k] += 1
+            missed[k] += gone[alike].sum() / points[alike].sum()
+    return np.where(total > 0, missed / np.maximum(total, 1), np.nan)
+
+
+def _slots(
+    cues: Cues,
+    lines: np.ndarray,
+    cut: np.ndarray,
+    laser: LaserCells,
+    lost: np.ndarray,
+    grid: CylinderGrid,
+) -> tuple[Patches, np.ndarray]:
+    """Cuts with their outlines as the camera sees them, and whether sections fell in, (count,).
+
+    Walls are tilted, what lies between them does not fit or is dark.
+    """
+    seen = (cues.poor > _MOSTLY) | (lines > 0)
+    outline = (seen | (cues.tilted > _WALL_TILTED)) & cut
+    mode = _mode(grid)
+    filled = ndimage.minimum_filter(ndimage.maximum_filter(outline, 3, mode=mode), 3, mode=mode)
+    patches = find_patches(filled & cut, grid)
+    share = _lost_share(patches, laser, lost)
+    met = (share > _MOSTLY) | (patches.share(lines > 0) > _SEEN_SHARE)
+    kept = (patches.share(seen) > _SEEN_SHARE) & (met | np.isnan(share))
+    return patches.select(kept), met[kept]
 
 
 def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
@@ -171,71 +223,33 @@ def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
     )
 
 
-def _breaks(
-    fields: Sequence[ViewField], spacing: float, grid: CylinderGrid
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cells of cuts whose pixels do not fit the model, and all cells of cuts: tilted ones too.
+def _opening(inside: np.ndarray, groove: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Share (n, m) of the way from a slot's lip to its floor.
+
+    The narrow cuts show how far from its lip a wall is seen, blurred and leaning as it is: they
+    are darkest where their two walls meet. Into the wide ones light falls, and no darkness tells.
+    Towards a groove a slot is open.
+    """
+    away = ndimage.distance_transform_edt(inside | groove)
+    middle = away[inside & (lines > _MIDDLE)]
+    wall = max(1.0, float(np.median(middle))) if middle.size else 1.0
+    leaning = np.clip((away - 0.5) / wall, 0, 1)
+    opening = np.where((lines > 0) & (away <= wall), lines**2, leaning)
+    return np.where(inside, opening, 0).astype(np.float32)
+
+
+def _breaks(cues: Cues, grid: CylinderGrid) -> np.ndarray:
+    """Cells (n, m) whose normals are not the tread's: in cuts and beside them.
 
     Thresholds with hysteresis (Canny 1986): a patch of tilted cells counts if it is surely
     tilted somewhere, or does not fit.
     """
-    poor, tilted = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
-    seen = np.zeros((grid.shape[0], 1), np.float32)
-    window = 2 * round(spacing / 4) + 1
-    for field in fields:
-        blend = field.blend[:, None]
-        poor[field.rows] += blend * field.flags[POOR_FIT]
-        tilted[field.rows] += blend * _tilt(field.slope, window)
-        seen[field.rows] += blend
-    seen = np.maximum(seen, np.finfo(np.float32).tiny)
     poor, tilted = (
-        ndimage.uniform_filter(total / seen, 3, mode=_mode(grid)) for total in (poor, tilted)
+        ndimage.uniform_filter(cue, 3, mode=_mode(grid)) for cue in (cues.poor, cues.tilted)
     )
     poor = poor > _POOR_SHARE
-    broken = _patches(poor | (tilted > _TILTED), grid)
-    sure = np.zeros(broken.count + 1, bool)
-    sure[broken.label[poor | (tilted > _SURELY_TILTED)]] = True
-    sure[0] = False
-    cut = sure[broken.label]
-    return poor & cut, cut
-
-
-def _tilt(slope: np.ndarray, window: int) -> np.ndarray:
-    """Squared deviations of both slopes (2, k, m) from the tread around, over the usual one."""
-    total = np.zeros(slope.shape[1:], np.float32)
-    for component in slope:
-        known = np.isfinite(component)
-        # A shoulder is steep all around the tire, a cut's wall is not.
-        component = component - _usual_of_columns(component)
-        tread = known & (np.abs(component) < _WALL_SLOPE)
-        if not tread.any():
-            continue
-        deviation = component - _local_mean(component, tread, window)
-        usual = _MAD_TO_STD * np.median(np.abs(deviation[tread])) + 1e-12
-        total += np.where(known, np.minimum((deviation / usual) ** 2, _MOST_TILTED), 0)
-    return total
-
-
-def _usual_of_columns(values: np.ndarray) -> np.ndarray:
-    """Median of each column (m,); 0 where nothing is known."""
-    usual = np.zeros(values.shape[1], np.float32)
-    seen = np.isfinite(values).any(axis=0)
-    usual[seen] = np.nanmedian(values[:, seen], axis=0)
-    return usual
-
-
-def _local_mean(values: np.ndarray, tread: np.ndarray, window: int) -> np.ndarray:
-    """Robust mean (Tukey's biweight) over a square window of cells (k, m)."""
-    values = np.where(tread, values, 0).astype(np.float32)
-    weight, mean = tread.astype(np.float32), np.zeros_like(values)
-    for _ in range(_ROUNDS):
-        total = ndimage.uniform_filter(weight, window, mode="nearest")
-        mean = ndimage.uniform_filter(weight * values, window, mode="nearest")
-        mean /= np.maximum(total, 1e-6)
-        deviation = np.abs(values - mean)
-        usual = _MAD_TO_STD * np.median(deviation[tread]) + 1e-12
-        weight = tread * np.maximum(1 - (deviation / (_TUKEY * usual)) ** 2, 0) ** 2
-    return mean
+    broken = find_patches(poor | (tilted > _TILTED), grid)
+    return broken.select(broken.share(poor | (tilted > _SURELY_TILTED)) > 0).mask
 
 
 def _off_tread(laser: LaserCells, broken: Patches, std: float, grid: CylinderGrid) -> np.ndarray:
@@ -293,54 +307,6 @@ def _by_column(laser: LaserCells, grid: CylinderGrid) -> tuple[np.ndarray, np.nd
     return order, np.searchsorted(laser.column[order], np.arange(grid.shape[1] + 1))
 
 
-def slot_depths(
-    slots: Patches, top: np.ndarray, laser: LaserCells
-) -> tuple[np.ndarray, np.ndarray]:
-    """How deep the slots lie below the closed surface, from the points in them.
-
-    A slot that no section met is as deep as the equally wide ones in its columns.
-
-    Parameters
-    ----------
-    slots : Patches
-    top : (n, m) float
-        Closed surface, mm.
-    laser : LaserCells
-        Points in slots.
-
-    Returns
-    -------
-    depth, std : (n, m) float64
-        mm; NaN outside of slots and where nothing tells how deep one is.
-    """
-    depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
-    number = slots.label[laser.row, laser.column]
-    below = top[laser.row, laser.column] - laser.value
-    met, unmet = [], []
-    for cells, points in _by_slot(slots, number):
-        columns = int(cells[:, 1].min()), int(cells[:, 1].max())
-        width = len(cells) / (columns[1] - columns[0] + 1)
-        if len(points) < _LEAST_POINTS:
-            unmet.append((cells, columns, width))
-            continue
-        place = np.column_stack([laser.row[points], laser.column[points]])
-        near = min(_NEAREST, len(points))
-        _, index = cKDTree(place).query(cells, k=near)
-        middle = float(np.median(below[points]))
-        spread = _MAD_TO_STD * float(np.median(np.abs(below[points] - middle)))
-        depth[tuple(cells.T)] = np.median(below[points][index], axis=1)
-        std[tuple(cells.T)] = max(spread, float(np.median(laser.std[points])))
-        met.append((columns, width, middle, spread))
-    for cells, columns, width in unmet:
-        alike = [(d, s) for c, w, d, s in met if _overlap(c, columns) and _alike(w, width)]
-        if not alike:
-            continue
-        depths, spreads = np.array(alike).T
-        depth[tuple(cells.T)] = np.median(depths)
-        std[tuple(cells.T)] = np.hypot(np.std(depths), np.median(spreads))
-    return depth, std
-
-
 def _between(row: np.ndarray, off: np.ndarray, n: int, periodic: bool) -> np.ndarray:
     """Rows that lie between points on the tread with points `off` it among them."""
     on = row[~off]
@@ -354,52 +320,5 @@ def _between(row: np.ndarray, off: np.ndarray, n: int, periodic: bool) -> np.nda
     )
 
 
-def _overlap(a: tuple[int, int], b: tuple[int, int]) -> bool:
-    """Whether half of the shorter range of columns lies in the other."""
-    shared = min(a[1], b[1]) - max(a[0], b[0]) + 1
-    return 2 * shared > min(a[1] - a[0], b[1] - b[0]) + 1
-
-
-def _alike(a: float, b: float) -> bool:
-    return max(a, b) <= _SAME_WIDTH * min(a, b)
-
-
 def _mode(grid: CylinderGrid) -> tuple[str, str]:
     return ("wrap" if grid.periodic else "nearest", "nearest")
-
-
-def _patches(mask: np.ndarray, grid: CylinderGrid) -> Patches:
-    """Connected patches that are no noise; on a whole turn also across its end."""
-    label, _ = ndimage.label(mask, _NEIGHBOURS)
-    if grid.periodic:
-        for shift in (-1, 0, 1):
-            _join(label, np.roll(label[-1], shift))
-    kept = np.bincount(label.ravel()) >= _LEAST_CELLS
-    kept[0] = False
-    number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
-    return Patches(number[label], int(kept.sum()))
-
-
-def _join(label: np.ndarray, last: np.ndarray) -> None:
-    """Give patches of the first row the numbers of those that they touch in the last, in place."""
-    for j in np.flatnonzero((label[0] > 0) & (last > 0)):
-        if label[0, j] != last[j]:
-            old = label[0, j]
-            last[last == old] = last[j]
-            label[label == old] = last[j]
-
-
-def _by_slot(slots: Patches, number: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Cells (k, 2) and indices of points of each slot."""
-    rows, columns = np.nonzero(slots.label)
-    label = slots.label[rows, columns]
-    order = np.argsort(label, kind="stable")
-    cells = np.column_stack([rows, columns])[order]
-    starts = np.searchsorted(label[order], np.arange(1, slots.count + 2))
-    point_order = np.argsort(number, kind="stable")
-    point_starts = np.searchsorted(number[point_order], np.arange(1, slots.count + 2))
-    for k in range(slots.count):
-        yield (
-            cells[starts[k] : starts[k + 1]],
-            point_order[point_starts[k] : point_starts[k + 1]],
-        )

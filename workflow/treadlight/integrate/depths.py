@@ -1,0 +1,94 @@
+"""How deep the slots are: what the sections that reached their floors say."""
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from treadlight.geometry import CylinderGrid
+from treadlight.integrate.cues import MAD_TO_STD
+from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.patches import Patches, kinds_of
+
+# The depth of a cell is the median of this many points next to it in the same slot.
+_NEAREST = 60
+_LEAST_POINTS = 5
+
+
+def slot_depths(
+    slots: Patches,
+    met: np.ndarray,
+    top: np.ndarray,
+    laser: LaserCells,
+    shared_rows: float,
+    tread_depth: float,
+    grid: CylinderGrid,
+) -> tuple[np.ndarray, np.ndarray]:
+    """How deep the slots' floors lie below the closed surface, from the points on them.
+
+    A slot whose floor no section reached is as deep as the equally wide ones in its columns. If
+    there is none, but sections were lost in it, it is deeper than wide, or light would fall
+    in, and no deeper than the grooves: anything between.
+
+    Parameters
+    ----------
+    slots : Patches
+    met : (slots.count,) bool
+        Slots that sections fell into.
+    top : (n, m) float
+        Closed surface, mm.
+    laser : LaserCells
+        Points in slots.
+    shared_rows : float
+        How many neighbouring lines share their errors: nearer to a wall than half of that a
+        point is between the floor and the lip.
+    tread_depth : float
+        Of the grooves, mm; NaN where there is none.
+    grid : CylinderGrid
+
+    Returns
+    -------
+    depth, std : (n, m) float64
+        mm; NaN outside of slots and where nothing tells how deep one is.
+    """
+    depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
+    inside = ndimage.distance_transform_edt(slots.mask)
+    widest = 2 * ndimage.maximum(inside, slots.label, np.arange(1, slots.count + 1))
+    away = inside[laser.row, laser.column]
+    laser, away = laser.select(away > shared_rows / 2), away[away > shared_rows / 2]
+    label = slots.label[laser.row, laser.column]
+    order = np.argsort(label, kind="stable")
+    starts = np.searchsorted(label[order], np.arange(1, slots.count + 2))
+    below = top[laser.row, laser.column] - laser.value
+    kinds = kinds_of(slots)
+    usual = np.full((slots.count, 2), np.nan)
+    cells = list(slots.cells())
+    for k, own in enumerate(cells):
+        points = order[starts[k] : starts[k + 1]]
+        if len(points) < _LEAST_POINTS:
+            continue
+        # The walls pull at the line as far as its tails reach: the inner half knows best.
+        points = points[away[points] >= np.median(away[points])]
+        place = np.column_stack([laser.row[points], laser.column[points]])
+        _, index = cKDTree(place).query(own, k=min(_NEAREST, len(points)))
+        middle = float(np.median(below[points]))
+        spread = MAD_TO_STD * float(np.median(np.abs(below[points] - middle)))
+        depth[tuple(own.T)] = np.median(below[points][index], axis=1)
+        std[tuple(own.T)] = max(spread, float(np.median(laser.std[points])))
+        usual[k] = middle, spread
+    for k in map(int, np.flatnonzero(np.isnan(usual[:, 0]))):
+        alike = kinds.alike(k) & np.isfinite(usual[:, 0])
+        if alike.any():
+            middle = np.median(usual[alike, 0])
+            spread = np.hypot(np.std(usual[alike, 0]), np.median(usual[alike, 1]))
+        elif met[k]:
+            middle, spread = _between(widest[k] * grid.step_z, tread_depth)
+        else:
+            continue
+        depth[tuple(cells[k].T)], std[tuple(cells[k].T)] = middle, spread
+    return depth, std
+
+
+def _between(least: float, most: float) -> tuple[float, float]:
+    """Mean and standard deviation of anything between two depths."""
+    least = min(least, most)
+    return (least + most) / 2, (most - least) / np.sqrt(12)
