@@ -1,25 +1,32 @@
-"""How fast algorithm 4 is, beside the same algorithm written plainly, and beside NIPS by scipy.
+"""How fast MAP and algorithm 4 are, beside algorithm 4 written plainly, and NIPS by scipy.
 
 Sixteen near LEDs in the rig's rings, rubber (k_d 0.05, k_s 0.4, alpha 40 of table 5.1) with 2 %
 noise, at most five refinements, as many cores as NUMBA_NUM_THREADS says (make bench-speed: two).
 All run in one process, one after the other, on the same pixels or on the first of them; each is
-compiled before its time is taken. The last line is JSON.
+compiled before its time is taken. MAP's material is learned once, as once per view in the
+pipeline, and timed apart. Then the memory of views of one and of four million pixels, taken chunk
+by chunk: the chunk bounds it. The last line is JSON.
 """
 
 import json
 import math
+import multiprocessing
+import resource
 import statistics
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 from numba import get_num_threads, njit, prange
 from scipy.optimize import least_squares
 
-from treadlight.photometric import METHODS, Observations, dps, sps
+from treadlight.photometric import METHODS, Observations, dps, map_normals, sps
+from treadlight.photometric.material import learn_material
 
-# As many as the stage holds at a time: views are bigger.
 PIXELS, PLAIN_PIXELS, SCIPY_PIXELS = 1 << 18, 1 << 14, 50
+# As many as the stage holds at a time, and views of so many chunks.
+CHUNK_PX, CHUNKS = 1 << 16, (16, 64)
 REFINEMENTS, TRIALS, ALPHA_MAX = 5, 100, 1024.0
 RUNS = 3
 # The stage learns the usual misfit once per view; a chunk gets it handed.
@@ -199,24 +206,50 @@ def rate(work: Callable[[Observations], object], observations: Observations, run
     return observations.intensity.shape[1] / statistics.median(times)
 
 
+def cpu_us(work: Callable[[Observations], object], observations: Observations) -> float:
+    """Processor time per pixel: what cores would do that others did not use too."""
+    before = time.process_time()
+    work(observations)
+    return (time.process_time() - before) / observations.intensity.shape[1] * 1e6
+
+
+def peak_mb(chunks: int) -> float:
+    """Most memory of a process that solves a view of so many chunks, one after the other."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_solve_chunks, chunks).result()
+
+
+def _solve_chunks(chunks: int) -> float:
+    one = scene(CHUNK_PX)
+    material = learn_material(one)
+    for _ in range(chunks):
+        map_normals(one, material=material)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
 def main() -> None:
     whole = scene(PIXELS)
     few, fewest = first(whole, PLAIN_PIXELS), first(whole, SCIPY_PIXELS)
+    learn_material(fewest)
+    before = time.perf_counter()
+    material = learn_material(few)
+    learning_s = time.perf_counter() - before
 
-    def fast(observations: Observations) -> object:
+    def default(observations: Observations) -> object:
+        return map_normals(observations, material=material)
+
+    def algorithm_4(observations: Observations) -> object:
         return sps(observations, max_refinements=REFINEMENTS, misfit=MISFIT)
 
-    methods = {name: method for name, method in METHODS.items() if name != "sps"}
-    for work in (fast, plain, *methods.values()):
+    fast = {"map": default, "sps": algorithm_4}
+    others = {name: method for name, method in METHODS.items() if name not in fast}
+    for work in (*fast.values(), plain, *others.values()):
         work(fewest)
     angle = np.degrees(
         2 * np.arcsin(np.linalg.norm(sps(few).normal - plain(few)[:, :3], axis=1) / 2)
     )
-    before = time.process_time()
-    rates = {"sps": rate(fast, whole, RUNS)}
-    # Says on a machine that others use too what its cores would do if they were free.
-    cpu_us = (time.process_time() - before) / (RUNS * PIXELS) * 1e6
-    rates |= {name: rate(method, few, RUNS) for name, method in methods.items()}
+    rates = {name: rate(method, whole, RUNS) for name, method in fast.items()}
+    rates |= {name: rate(method, few, RUNS) for name, method in others.items()}
     plainly = rate(plain, few, 1)
     by_scipy = rate(scipy_nips, fewest, 1)
     figures = {
@@ -224,7 +257,11 @@ def main() -> None:
         "mpixel_per_s": {name: round(value / 1e6, 4) for name, value in rates.items()},
         "plain_algorithm_4_mpixel_per_s": round(plainly / 1e6, 4),
         "scipy_nips_mpixel_per_s": round(by_scipy / 1e6, 7),
-        "sps_cpu_us_per_pixel": round(cpu_us, 2),
+        "cpu_us_per_pixel": {name: round(cpu_us(work, whole), 2) for name, work in fast.items()},
+        "map_learning_s": round(learning_s, 2),
+        "map_peak_mb": {
+            f"{chunks * CHUNK_PX >> 20} Mpixel": round(peak_mb(chunks), 1) for chunks in CHUNKS
+        },
         "sps_over_plain": round(rates["sps"] / plainly, 1),
         "sps_over_scipy_nips": round(rates["sps"] / by_scipy, 1),
         "sps_against_plain_median_deg": round(float(np.median(angle)), 4),
