@@ -16,6 +16,7 @@ from treadlight.calibrate.camera import calibrate_camera
 from treadlight.calibrate.corners import find_corners, object_points
 from treadlight.calibrate.leds import reflected_lines
 from treadlight.geometry import Camera
+from treadlight.images import LinearFrame
 
 # So far that a pixel is a millimetre on the ball and rays are parallel.
 _FAR_MM = 1e6
@@ -59,8 +60,8 @@ def direction_error(
     matrix = np.array([[_FAR_MM, 0, centre_px[0]], [0, _FAR_MM, centre_px[1]], [0, 0, 1]])
     camera = Camera(matrix, np.zeros(5), (width, height))
     centre = np.array([0.0, 0.0, _FAR_MM])
-    light = (image.astype(np.float32) / 255) ** _GAMMA
-    pixel = find_highlight(light, camera, centre, radius)
+    frame = LinearFrame((image.astype(np.float32) / 255) ** _GAMMA, image == 255)
+    pixel = find_highlight(frame, camera, centre, radius)
     _, mirrored = reflected_lines(camera, pixel[None], centre[None], radius)
     # {C} has y down and z away from the camera.
     cosine = (mirrored[0] * [1, -1, -1]) @ direction / np.linalg.norm(direction)

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.cues import MAD_TO_STD
 from treadlight.integrate.laser import LaserCells
-from treadlight.integrate.patches import Patches, kinds_of
+from treadlight.integrate.patches import Patches, kinds_of, way_out
 
 # The depth of a cell is the median of this many points next to it in the same slot.
 _NEAREST = 60
@@ -51,7 +51,7 @@ def slot_depths(
         mm; NaN outside of slots and where nothing tells how deep one is.
     """
     depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
-    inside = ndimage.distance_transform_edt(slots.mask)
+    inside = way_out(slots.mask, grid)
     widest = 2 * ndimage.maximum(inside, slots.label, np.arange(1, slots.count + 1))
     away = inside[laser.row, laser.column]
     laser, away = laser.select(away > shared_rows / 2), away[away > shared_rows / 2]
@@ -73,7 +73,8 @@ def slot_depths(
         middle = float(np.median(below[points]))
         spread = MAD_TO_STD * float(np.median(np.abs(below[points] - middle)))
         depth[tuple(own.T)] = np.median(below[points][index], axis=1)
-        std[tuple(own.T)] = max(spread, float(np.median(laser.std[points])))
+        spread = max(spread, float(np.median(laser.std[points])))
+        std[tuple(own.T)] = spread
         usual[k] = middle, spread
     for k in map(int, np.flatnonzero(np.isnan(usual[:, 0]))):
         alike = kinds.alike(k) & np.isfinite(usual[:, 0])
@@ -89,6 +90,6 @@ def slot_depths(
 
 
 def _between(least: float, most: float) -> tuple[float, float]:
-    """Mean and standard deviation of anything between two depths."""
-    least = min(least, most)
+    """Mean and standard deviation of anything between two depths, or up to the second."""
+    least = least if least < most else 0.0
     return (least + most) / 2, (most - least) / np.sqrt(12)

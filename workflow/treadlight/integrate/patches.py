@@ -79,12 +79,25 @@ def find_patches(mask: np.ndarray, grid: CylinderGrid) -> Patches:
     """Connected patches that are no noise; on a whole turn also across its end."""
     label, _ = ndimage.label(mask, _NEIGHBOURS)
     if grid.periodic:
-        for shift in (-1, 0, 1):
-            _join(label, np.roll(label[-1], shift))
+        last = np.pad(label[-1], 1)
+        for shift in range(3):
+            _join(label, last[shift : shift + label.shape[1]])
     kept = np.bincount(label.ravel()) >= _LEAST_CELLS
     kept[0] = False
     number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
     return Patches(number[label], int(kept.sum()))
+
+
+def way_out(mask: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Distance of each cell of a mask from the nearest one outside, in cells; infinite without any.
+
+    On a whole turn also across its end, up to as far as the tread is wide.
+    """
+    if mask.all():
+        return np.full(mask.shape, np.inf)
+    rows = min(mask.shape) if grid.periodic else 0
+    around = np.pad(mask, ((rows, rows), (0, 0)), mode="wrap")
+    return ndimage.distance_transform_edt(around)[rows : rows + len(mask)]
 
 
 def kinds_of(patches: Patches) -> Kinds:
@@ -100,6 +113,6 @@ def _join(label: np.ndarray, last: np.ndarray) -> None:
     """Give patches of the first row the numbers of those that they touch in the last, in place."""
     for j in np.flatnonzero((label[0] > 0) & (last > 0)):
         if label[0, j] != last[j]:
-            old = label[0, j]
-            last[last == old] = last[j]
-            label[label == old] = last[j]
+            old, new = label[0, j], last[j]
+            last[last == old] = new
+            label[label == old] = new

@@ -72,7 +72,14 @@ def seen_on(view: ViewNormals, surface: np.ndarray, grid: CylinderGrid) -> ViewN
             share = -(half + root) / along
         x, y = centre + share * ray[..., 0], share * ray[..., 1]
         theta, z = np.arctan2(y, x) - encoder, share * ray[..., 2] + view.camera[2]
-    return replace(view, r=r, theta=theta, z=z)
+    return replace(view, normal=_turned(view.normal, theta - view.theta), r=r, theta=theta, z=z)
+
+
+def _turned(normal: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Normals in the local basis of places further along theta by an angle, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    n_r, n_theta, n_z = np.moveaxis(normal, -1, 0)
+    return np.stack([c * n_r + s * n_theta, c * n_theta - s * n_r, n_z], axis=-1)
 
 
 def _looked_up(

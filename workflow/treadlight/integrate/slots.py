@@ -18,7 +18,7 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate.cues import Cues, dark_lines, read_cues
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
-from treadlight.integrate.patches import Patches, find_patches, kinds_of
+from treadlight.integrate.patches import Patches, find_patches, kinds_of, way_out
 
 # Around a cell of a cut this share of the pixels does not fit the model; in it, the greater part.
 _POOR_SHARE = 0.35
@@ -112,7 +112,7 @@ def close_cuts(
     lines = _cut_lines(cues.dark, laser, lost, grid)
     broken = find_patches(_breaks(cues, grid) | (lines > 0), grid)
     count = len(laser.value)
-    sections = _completed(laser, start, std)
+    sections = _completed(laser, start, std, grid)
     off = _off_tread(sections, broken, std, grid)
     # What the first surface says where no point is tells of slots, not where the tread is.
     kept = off | (np.arange(len(off)) < count)
@@ -127,7 +127,7 @@ def close_cuts(
     deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
     in_slot = deep & slots.mask[laser.row, laser.column]
     reach = ndimage.maximum_filter(broken.mask, 3, mode=_mode(grid))
-    opening = _opening(slots.mask, ~tread, lines)
+    opening = _opening(slots.mask, ~tread, lines, grid)
     return ClosedTread(closed, bridged, reach, slots, opening, met, ~off[:count], in_slot)
 
 
@@ -196,7 +196,7 @@ def _slots(
     return patches.select(kept), met[kept]
 
 
-def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
+def _completed(laser: LaserCells, start: np.ndarray, std: float, grid: CylinderGrid) -> LaserCells:
     """The points, and behind them the first surface where a section has none.
 
     Deep in a slot the line is lost in some columns, where the first surface holds what it took
@@ -207,8 +207,10 @@ def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
         own = laser.section == number
         columns, first = np.unique(laser.column[own], return_index=True)
         missing = np.setdiff1d(np.arange(columns[0], columns[-1] + 1), columns)
-        found = np.interp(missing, columns, laser.row[own][first])
-        row.append(np.rint(found).astype(int))
+        rows = laser.row[own][first]
+        if grid.periodic:
+            rows = np.unwrap(rows, period=grid.shape[0])
+        row.append(np.rint(np.interp(missing, columns, rows)).astype(int) % grid.shape[0])
         column.append(missing)
         section.append(np.full(len(missing), number))
     if not row:
@@ -223,14 +225,16 @@ def _completed(laser: LaserCells, start: np.ndarray, std: float) -> LaserCells:
     )
 
 
-def _opening(inside: np.ndarray, groove: np.ndarray, lines: np.ndarray) -> np.ndarray:
+def _opening(
+    inside: np.ndarray, groove: np.ndarray, lines: np.ndarray, grid: CylinderGrid
+) -> np.ndarray:
     """Share (n, m) of the way from a slot's lip to its floor.
 
     The narrow cuts show how far from its lip a wall is seen, blurred and leaning as it is: they
     are darkest where their two walls meet. Into the wide ones light falls, and no darkness tells.
     Towards a groove a slot is open.
     """
-    away = ndimage.distance_transform_edt(inside | groove)
+    away = way_out(inside | groove, grid)
     middle = away[inside & (lines > _MIDDLE)]
     wall = max(1.0, float(np.median(middle))) if middle.size else 1.0
     leaning = np.clip((away - 0.5) / wall, 0, 1)
@@ -258,7 +262,7 @@ def _off_tread(laser: LaserCells, broken: Patches, std: float, grid: CylinderGri
         return np.zeros(len(laser.value), bool)
     deviation = np.abs(laser.value - _median_along(laser, grid))
     usual = np.hypot(std, laser.std)
-    away = ndimage.distance_transform_edt(~broken.mask)[laser.row, laser.column]
+    away = way_out(~broken.mask, grid)[laser.row, laser.column]
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
     off = (deviation > _OFF_SIGMA * usual) & (away <= aside)
     return off | ((deviation > _BESIDE_SIGMA * usual) & (away <= _BESIDE_CELLS))

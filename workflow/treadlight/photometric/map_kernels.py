@@ -129,7 +129,7 @@ def fit_pixels(intensity, lights, views, usable, noise, base, prior, misfit2, ou
     misfit2 : float32
         Squared misfit of the model relative to the light, as `Material` defines it.
     out : (n, RESULTS) float64
-        Written here: see the column names above; NaN where there is no normal, with LEDS.
+        Written here, in the columns of `map_report`; NaN where there is no normal, but for LEDS.
     """
     n = intensity.shape[1]
     for run in prange((n + _RUN - 1) // _RUN):

@@ -28,6 +28,7 @@ from treadlight.photometric.map_lanes import (
 )
 
 DIRECTIONS = 128
+# `_pick` keeps apart from two before.
 STARTS = 3
 # Widest angle between a normal and the view: 75 degrees.
 WIDEST = math.radians(75.0)
