@@ -180,15 +180,26 @@ def test_pixels_that_were_placed_in_a_block_are_seen_where_their_rays_meet_the_t
     deep = x + 0.006 * (x - centre)
     none = np.zeros(theta.shape, bool)
     empty = np.zeros((*theta.shape, 3))
+    placed = np.arctan2(deep[..., 1], deep[..., 0])
     view = ViewNormals(
-        empty, empty, np.hypot(deep[..., 0], deep[..., 1]), np.arctan2(deep[..., 1], deep[..., 0]),
+        one_normal(placed), empty, np.hypot(deep[..., 0], deep[..., 1]), placed,
         deep[..., 2], empty, none, none, none, CAMERA,
     )  # fmt: skip
     assert np.abs(view.z - z).max() > 0.1
+    assert np.abs(placed - theta).max() > 1e-3
     moved = seen_on(view, np.full(grid.shape, RADIUS), grid)
     np.testing.assert_allclose(moved.r, RADIUS)
     np.testing.assert_allclose(moved.theta, theta, atol=1e-9)
     np.testing.assert_allclose(moved.z, z, atol=1e-9)
+    np.testing.assert_allclose(moved.normal, one_normal(theta), atol=1e-9)
+
+
+def one_normal(theta):
+    """The same direction, 0.5 rad around the axis and leaning along it, in every local basis."""
+    around = 0.5 - theta
+    return np.stack(
+        [0.8 * np.cos(around), 0.8 * np.sin(around), np.full(theta.shape, 0.6)], axis=-1
+    )
 
 
 def test_blocks_of_single_sections_are_bridged_and_wide_grooves_stay(grid):

@@ -4,6 +4,7 @@ import base64
 import html
 import re
 from collections.abc import Iterable, Sequence
+from typing import SupportsFloat
 
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1180px;margin:2rem auto;padding:0 1rem}
@@ -85,10 +86,7 @@ def image(png: bytes, alt: str, caption: str = "") -> str:
 
 def number(value: object, digits: int, unit: str = "") -> str:
     """A number with a true minus; a dash where there is none."""
-    try:
-        size = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return "\u2013"
+    size = _as_float(value)
     if size != size:
         return "\u2013"
     shown = f"{size:.{digits}f}"
@@ -98,7 +96,12 @@ def number(value: object, digits: int, unit: str = "") -> str:
 
 
 def percent(value: object) -> str:
+    return number(100 * _as_float(value), 1, "%")
+
+
+def _as_float(value: object) -> float:
+    """The number that a value from a file is or says; NaN where it is none."""
     try:
-        return number(100 * float(value), 1, "%")  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return "\u2013"
+        return float(value) if isinstance(value, str | SupportsFloat) else float("nan")
+    except ValueError:
+        return float("nan")

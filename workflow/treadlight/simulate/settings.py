@@ -1,6 +1,7 @@
 """What can be asked of the simulator."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from treadlight.errors import ConfigError
 
@@ -99,7 +100,7 @@ PRESETS = {
 }
 
 
-def preset(name: str, **changes: object) -> SimulationSettings:
+def preset(name: str, **changes: Any) -> SimulationSettings:
     """A preset with some settings changed; None leaves a setting as it is."""
     given = {key: value for key, value in changes.items() if value is not None}
-    return replace(PRESETS[name], **given)  # type: ignore[arg-type]
+    return replace(PRESETS[name], **given)

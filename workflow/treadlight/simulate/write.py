@@ -44,7 +44,9 @@ class CaptureWriter:
 
     def arrays(self, name: str, **arrays: np.ndarray) -> None:
         """Write truth/<name>.npz."""
-        np.savez_compressed(self._temporary / "truth" / f"{name}.npz", **arrays)  # type: ignore[arg-type]
+        # Not as they came: numpy's stubs take arrays by keyword for the option allow_pickle.
+        contents: dict[str, Any] = dict(arrays)
+        np.savez_compressed(self._temporary / "truth" / f"{name}.npz", **contents)
 
     def publish(self, facts: dict[str, Any], truth: dict[str, Any]) -> None:
         """Write capture.yaml, frames.csv and truth/rig.yaml, then move the capture into place."""

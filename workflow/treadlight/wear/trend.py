@@ -75,7 +75,7 @@ def trend_rows(
     stays: Sequence[Stay],
     reference: GrooveReference,
     settings: WearSettings,
-) -> list[dict[str, object]]:
+) -> list[dict[str, str | float]]:
     """Rows of trend.csv (results-contract), ordered by capture, then region.
 
     Parameters
@@ -88,7 +88,7 @@ def trend_rows(
     reference : GrooveReference
         Of the first capture.
     """
-    rows = []
+    rows: list[dict[str, str | float]] = []
     history: dict[str, list[tuple[float, float, float]]] = {}
     for number, stay in enumerate(stays):
         km = stay.mileage * KM_PER[unit]
@@ -221,15 +221,14 @@ def _projection(
     return dict(zip(names, (middle, low, high), strict=True))
 
 
-def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
+def csv_text(rows: Sequence[Mapping[str, str | float]]) -> str:
     """trend.csv: six significant digits, empty where a number is not known."""
     lines = [",".join(COLUMNS)]
     lines += [",".join(_cell(row[name]) for name in COLUMNS) for row in rows]
     return "\n".join(lines) + "\n"
 
 
-def _cell(value: object) -> str:
+def _cell(value: str | float) -> str:
     if isinstance(value, str):
         return value
-    number = float(value)  # type: ignore[arg-type]
-    return f"{number:.6g}" if np.isfinite(number) else ""
+    return f"{value:.6g}" if np.isfinite(value) else ""
