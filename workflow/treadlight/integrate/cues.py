@@ -41,7 +41,7 @@ class Cues:
 
 
 def read_cues(fields: Sequence[ViewField], spacing: float, grid: CylinderGrid) -> Cues:
-    """Cues of all views, each weighted by its blend.
+    """Cues of all views, each weighted by its blend where it sees the cell.
 
     Parameters
     ----------
@@ -52,17 +52,19 @@ def read_cues(fields: Sequence[ViewField], spacing: float, grid: CylinderGrid) -
     grid : CylinderGrid
     """
     total = np.zeros((3, *grid.shape), np.float32)
-    seen = np.zeros((grid.shape[0], 1), np.float32)
+    seen = np.zeros((3, *grid.shape), np.float32)
     for field in fields:
-        blend = field.blend[:, None]
+        light = field.material[0] + field.material[1]
+        sloped = np.isfinite(field.slope).any(axis=0)
         values = (
-            field.flags[POOR_FIT],
-            _tilt(field.slope, 2 * round(spacing / 4) + 1),
-            _darkness(field.material[0] + field.material[1], 2 * round(spacing / 2) + 1),
+            (field.flags[POOR_FIT], sloped | (field.flags > 0).any(axis=0)),
+            (_tilt(field.slope, 2 * round(spacing / 4) + 1), sloped),
+            (_darkness(light, 2 * round(spacing / 2) + 1), light > 0),
         )
-        for k, value in enumerate(values):
+        for k, (value, known) in enumerate(values):
+            blend = field.blend[:, None] * known
             total[k][field.rows] += blend * value
-        seen[field.rows] += blend
+            seen[k][field.rows] += blend
     total /= np.maximum(seen, np.finfo(np.float32).tiny)
     return Cues(*total)
 
