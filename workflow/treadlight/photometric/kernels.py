@@ -1,7 +1,7 @@
 """Algorithms 2 to 4 of the dissertation, block of pixels by block, compiled.
 
-`lanes` holds algorithm 3's parts; here are what surrounds them: the diffuse part and its
-refinement, what a pixel's lobe rerenders, and the normal's covariance.
+`lanes` holds algorithm 3's parts; here is what surrounds them, the diffuse part and its
+refinement; `sps_report` says what has been found.
 """
 
 import math
@@ -11,7 +11,6 @@ from numba import njit, prange
 
 from treadlight.photometric import lanes
 from treadlight.photometric.lanes import (
-    ALPHA_MAX,
     COUNT,
     DARK_LIGHT,
     DARK_NH,
@@ -22,7 +21,6 @@ from treadlight.photometric.lanes import (
     HZ,
     LENGTH,
     LIGHT,
-    LN2,
     LX,
     LY,
     LZ,
@@ -40,9 +38,9 @@ from treadlight.photometric.lanes import (
     USE,
     S,
     W,
-    X,
     Y,
 )
+from treadlight.photometric.sps_report import LEDS, report, report_desk
 
 # Eq. 5.27 divides by n.l: below cos 84 degrees the quotient is noise.
 _MIN_NL = 0.1
@@ -52,8 +50,6 @@ _STILL = 1e-4
 # and k_d that the last good pass subtracted, GOOD what it found.
 _OLD_X, _OLD_Y, _OLD_Z, _OLD_KD, _GOOD_X, _GOOD_Y, _GOOD_Z, _GOOD_S, _GOOD_LENGTH = range(9)
 _GOOD_TOP, _PUT, _ACTIVE, _SOLVED, _STATE = range(9, 14)
-# Columns of the result.
-NX, NY, NZ, KD, KS, ALPHA, RESIDUAL, LEDS, MISFIT, CXX, RESULTS = *range(10), 15
 
 
 @njit(cache=True)
@@ -230,133 +226,14 @@ def _count_all(r, state):
 
 
 @njit(cache=True)
-def _rerender(r, p, out):
-    """The residual of eq. 5.30, LEDs used, and squared relative misfit of eq. 5.1."""
-    relative, bright, used = 0.0, 0, 0
-    squares = power = noise = 0.0
-    for m in range(r[NL].shape[0]):
-        if not (r[USE][m, p] > 0 and r[NL][m, p] > 0):
-            continue
-        used += 1
-        light, dark = np.float64(r[LIGHT][m, p]), np.float64(r[NOISE][m, p])
-        error = light - (out[KD] * r[NL][m, p] + out[KS] * _power(r[NH][m, p], out[ALPHA]))
-        squares += error * error
-        power += light * light
-        noise += dark * dark
-        if light > 3 * dark:
-            relative += abs(error) / light
-            bright += 1
-    out[LEDS] = used
-    out[RESIDUAL] = relative / bright if bright else np.nan
-    # Three of the normal and its strength, alpha and k_d are fitted.
-    freedom = used - 5
-    if freedom > 0 and power > 0:
-        out[MISFIT] = max(0.0, squares * used / freedom - noise) / power
-    else:
-        out[MISFIT] = np.nan
-
-
-@njit(cache=True)
-def _covariance(r, v, p, length, top, misfit2, prior_weight, mat, gain, out):
-    """First-order propagation of each LED's error through eqs. 5.22 to 5.28.
-
-    The error of an LED is its noise and a misfit proportional to its intensity, whose square
-    is this pixel's own, joined with `misfit2` as if that had been seen `prior_weight` times.
-    The LED of eq. 5.27 acts through k_d on all others too.
-    """
-    freedom = out[LEDS] - 5
-    rho2 = misfit2
-    if freedom > 0:
-        rho2 = (prior_weight * misfit2 + freedom * out[MISFIT]) / (prior_weight + freedom)
-    s = 1.0 / out[ALPHA]
-    searched = out[ALPHA] > 1.001 and out[ALPHA] < 0.999 * ALPHA_MAX
-    _information(r, p, searched, mat, gain)
-    if not searched:
-        mat[3, 3] = 1.0
-    invert(mat)
-    through0 = through1 = through2 = 0.0
-    for m in range(r[NL].shape[0]):
-        if not r[W][m, p] > 0:
-            gain[m, :] = 0.0
-            continue
-        y = s * r[Y][m, p] / (np.float64(r[PART][m, p]) * top * length)
-        g0, g1, g2, g3 = gain[m, 0], gain[m, 1], gain[m, 2], gain[m, 3]
-        for i in range(3):
-            gain[m, i] = y * (mat[i, 0] * g0 + mat[i, 1] * g1 + mat[i, 2] * g2 + mat[i, 3] * g3)
-        along = gain[m, 0] * out[NX] + gain[m, 1] * out[NY] + gain[m, 2] * out[NZ]
-        for i in range(3):
-            gain[m, i] -= along * out[NX + i]
-        through0 += gain[m, 0] * r[NL][m, p]
-        through1 += gain[m, 1] * r[NL][m, p]
-        through2 += gain[m, 2] * r[NL][m, p]
-    darkest = int(v[DARKEST][p])
-    if darkest >= 0 and out[KD] > 0:
-        gain[darkest, 0] -= through0 / v[DARK_NL][p]
-        gain[darkest, 1] -= through1 / v[DARK_NL][p]
-        gain[darkest, 2] -= through2 / v[DARK_NL][p]
-    out[CXX : CXX + 6] = 0.0
-    for m in range(r[NL].shape[0]):
-        variance = np.float64(r[NOISE][m, p]) ** 2 + rho2 * np.float64(r[LIGHT][m, p]) ** 2
-        k = CXX
-        for i in range(3):
-            for j in range(i, 3):
-                out[k] += gain[m, i] * gain[m, j] * variance
-                k += 1
-
-
-@njit(cache=True)
-def _information(r, p, searched, mat, gain):
-    """J'J in mat and, LED by LED, J in gain: derivatives of weighted residuals by N and s."""
-    xx = xy = xz = xs = yy = yz = ys = zz = zs = ss = 0.0
-    for m in range(r[NL].shape[0]):
-        w = np.float64(r[W][m, p])
-        x, y, z = w * r[HX][m, p], w * r[HY][m, p], w * r[HZ][m, p]
-        # Row Y holds w exp2(s x) of the last pass.
-        t = -np.float64(r[Y][m, p]) * r[X][m, p] * LN2 if searched else 0.0
-        gain[m, 0], gain[m, 1], gain[m, 2], gain[m, 3] = x, y, z, t
-        xx += x * x
-        xy += x * y
-        xz += x * z
-        xs += x * t
-        yy += y * y
-        yz += y * z
-        ys += y * t
-        zz += z * z
-        zs += z * t
-        ss += t * t
-    mat[0, 0], mat[1, 1], mat[2, 2], mat[3, 3] = xx, yy, zz, ss
-    mat[0, 1], mat[0, 2], mat[0, 3], mat[1, 2], mat[1, 3], mat[2, 3] = xy, xz, xs, yz, ys, zs
-    mat[1, 0], mat[2, 0], mat[3, 0], mat[2, 1], mat[3, 1], mat[3, 2] = xy, xz, xs, yz, ys, zs
-
-
-@njit(cache=True)
-def invert(mat):
-    """Invert a symmetric positive matrix in place; what is not determined gets a huge variance."""
-    size = mat.shape[0]
-    for k in range(size):
-        pivot = max(mat[k, k], 1e-12)
-        mat[k, k] = 1.0
-        for j in range(size):
-            mat[k, j] /= pivot
-        for i in range(size):
-            if i != k:
-                factor = mat[i, k]
-                mat[i, k] = 0.0
-                for j in range(size):
-                    mat[i, j] -= factor * mat[k, j]
-
-
-@njit(cache=True)
-def _publish(r, v, state, p, refined, misfit2, prior_weight, mat, gain, out):
-    """One pixel's results."""
-    out[NX], out[NY], out[NZ] = state[_GOOD_X, p], state[_GOOD_Y, p], state[_GOOD_Z, p]
-    length, top = state[_GOOD_LENGTH, p], state[_GOOD_TOP, p]
-    # Eq. 5.25.
-    out[ALPHA] = 1.0 / state[_GOOD_S, p]
-    out[KS] = top * _power(length, out[ALPHA])
-    out[KD] = _diffuse(v, state, p) if refined else 0.0
-    _rerender(r, p, out)
-    _covariance(r, v, p, length, top, misfit2, prior_weight, mat, gain, out)
+def _lobes(v, state, refined):
+    """k_d (of algorithm 4; else 0), 1 / alpha, the length of N and the brightest gloss."""
+    lobes = np.zeros((4, PIXELS))
+    lobes[1:] = state[_GOOD_S : _GOOD_TOP + 1]
+    for p in range(PIXELS):
+        if refined and state[_SOLVED, p] > 0:
+            lobes[0, p] = _diffuse(v, state, p)
+    return lobes
 
 
 @njit(cache=True, parallel=True)
@@ -388,7 +265,7 @@ def fit_pixels(
         bits = (r[PART].view(np.int32), r[Y].view(np.int32))
         sums = np.empty((6, PIXELS))
         state = np.zeros((_STATE, PIXELS))
-        mat, gain = np.zeros((4, 4)), np.zeros((n_leds, 4))
+        desk = report_desk(n_leds)
         _gather(r, v, first, intensity, lights, views, usable, noise)
         out[first:last] = np.nan
         for p in range(PIXELS):
@@ -402,9 +279,8 @@ def fit_pixels(
             refinements if algorithm == 4 else 0, converged_rad**2, views[first:last],
         )  # fmt: skip
         _stand_again(r, v, bits, state, algorithm > 2)
+        lobes = _lobes(v, state, algorithm == 4)
+        report(r, v, state[_GOOD_X : _GOOD_Z + 1], lobes, misfit2, prior_weight, desk)
         for p in range(last - first):
             if state[_SOLVED, p] > 0:
-                _publish(
-                    r, v, state, p, algorithm == 4,
-                    misfit2, prior_weight, mat, gain, out[first + p],
-                )  # fmt: skip
+                out[first + p] = desk[-1][:, p]

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from treadlight.photometric.kernels import ALPHA_MAX, invert
+from treadlight.photometric.lanes import ALPHA_MAX
 
 # A wide lobe: it pulls the normal from further away than a narrow one.
 _START_ALPHA = 10.0
@@ -27,6 +27,23 @@ _TILT_1, _TILT_2, _LOG_ALPHA, _KD, _KS, UNKNOWNS = range(6)
 _I, _L, _H, _NOISE, _COLUMNS = 0, 1, 4, 7, 8
 # Columns of the result.
 NX, NY, NZ, KD, KS, ALPHA, RESIDUAL, CXX, RESULTS = *range(8), 13
+
+
+@njit(cache=True)
+def _invert(mat):
+    """Invert a symmetric positive matrix in place; what is not determined gets a huge variance."""
+    size = mat.shape[0]
+    for k in range(size):
+        pivot = max(mat[k, k], 1e-12)
+        mat[k, k] = 1.0
+        for j in range(size):
+            mat[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = mat[i, k]
+                mat[i, k] = 0.0
+                for j in range(size):
+                    mat[i, j] -= factor * mat[k, j]
 
 
 @njit(cache=True)
@@ -159,7 +176,7 @@ def _fit(table, count, view, n, x, frame, matrix, gradient):
         damped[:] = matrix
         for i in range(UNKNOWNS):
             damped[i, i] += damping
-        invert(damped)
+        _invert(damped)
         _step(n, x, frame, damped @ gradient, n_new, x_new)
         trial = _cost(table, count, n_new, x_new)
         fresh = trial < cost and _dot(n_new, view) > 0
@@ -182,7 +199,7 @@ def _covariance(table, count, n, x, frame, matrix, gradient, cost, out):
     _tangents(n, frame)
     _linearise(table, count, n, x, frame, matrix, gradient)
     _freeze(x, gradient, matrix)
-    invert(matrix)
+    _invert(matrix)
     noise2 = np.mean(table[:count, _NOISE] ** 2)
     variance = max(cost / max(count - UNKNOWNS, 1), noise2)
     k = CXX

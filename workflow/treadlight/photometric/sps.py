@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from treadlight.photometric import kernels
+from treadlight.photometric import kernels, sps_report
 from treadlight.photometric.observations import Estimate, Observations, estimate_of
 
 Algorithm = Literal[2, 3, 4]
@@ -60,7 +60,7 @@ def sps(
         misfit = typical_misfit(observations, algorithm=algorithm, max_refinements=max_refinements)
     found = _fit(observations, algorithm, max_refinements, misfit)
     return estimate_of(
-        found[:, : kernels.RESIDUAL + 1], found[:, kernels.LEDS], found[:, kernels.CXX :]
+        found[:, : sps_report.RESIDUAL + 1], found[:, sps_report.LEDS], found[:, sps_report.CXX :]
     )
 
 
@@ -74,7 +74,7 @@ def typical_misfit(
 
     Where no pixel has more than five usable LEDs, the dissertation's 12.9 % stands in.
     """
-    found = _fit(observations, algorithm, max_refinements, 0.0)[:, kernels.MISFIT]
+    found = _fit(observations, algorithm, max_refinements, 0.0)[:, sps_report.MISFIT]
     known = found[np.isfinite(found)]
     return float(np.sqrt(np.median(known))) if known.size else DISSERTATION_MISFIT
 
@@ -82,7 +82,7 @@ def typical_misfit(
 def _fit(
     observations: Observations, algorithm: Algorithm, max_refinements: int, misfit: float
 ) -> np.ndarray:
-    out = np.empty((observations.intensity.shape[1], kernels.RESULTS))
+    out = np.empty((observations.intensity.shape[1], sps_report.RESULTS))
     kernels.fit_pixels(
         *observations.arrays(),
         algorithm,
