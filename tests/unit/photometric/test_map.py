@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from treadlight.photometric import map_normals, sps
-from treadlight.photometric.material import fit, learn_material, rerender
+from treadlight.photometric.material import BLINN_PHONG, fit, learn_material, rerender
 from treadlight.photometric.observations import Observations
 
 
@@ -54,6 +54,35 @@ def test_the_material_of_the_region_is_learned(analytic, rng):
     np.testing.assert_allclose(found.mean, np.log([30, 0.4]), atol=0.1)
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), [0.2, 0.3], rtol=0.35)
     assert 0.005 < found.misfit < 0.03
+
+
+@pytest.mark.parametrize("gamma", [1, 2, 4])
+def test_a_lobe_of_longer_tails_is_learned(analytic, rng, gamma):
+    """Trowbridge and Reitz's distribution: its shape, its normals to 0.05 degree without noise."""
+    normals, lights = hemisphere(analytic), analytic.two_rings()
+    observations = analytic.observe(trowbridge_reitz(normals, lights, gamma), lights)
+    material = learn_material(observations)
+    assert 2**material.squarings == gamma
+    found = map_normals(observations, material=material)
+    assert np.median(analytic.degrees_between(found.normal, normals)) < 0.05
+    assert np.median(np.abs(found.alpha / 40 - 1)) < 0.01
+    assert np.median(found.residual) < 1e-3
+
+
+def trowbridge_reitz(normals, lights, gamma):
+    halves = lights + np.array([1.0, 0, 0])
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    facing, height = lights @ normals.T, np.clip(halves @ normals.T, 1e-3, 1)
+    gloss = (1 - 40 * np.log(height) / gamma) ** -gamma
+    return np.where(facing > 0, 0.03 * facing + 0.3 * gloss, 0)
+
+
+def test_noise_makes_no_tails(analytic, rng):
+    """Blinn and Phong's lobe is kept unless others predict clearly better."""
+    normals, lights = hemisphere(analytic), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.03, 0.3, 40)
+    intensity *= 1 + 0.05 * rng.standard_normal(intensity.shape)
+    assert learn_material(analytic.observe(intensity, lights)).squarings == BLINN_PHONG
 
 
 def test_covariance_tells_the_errors(analytic, rng):
@@ -112,7 +141,7 @@ def test_rerendering_is_what_the_residual_says(analytic, rng):
     intensity *= 1 + 0.05 * rng.standard_normal(intensity.shape)
     observations = analytic.observe(intensity, lights)
     material = learn_material(observations)
-    shown = rerender(observations, fit(observations, material))
+    shown = rerender(observations, fit(observations, material), material)
     expected = np.mean(np.abs(shown - intensity) / intensity, axis=0)
     residual = map_normals(observations, material=material).residual
     np.testing.assert_allclose(residual, expected, rtol=1e-3)

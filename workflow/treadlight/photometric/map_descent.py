@@ -163,10 +163,10 @@ def choose(better, new, old):
 
 
 @njit(cache=True, error_model="numpy")
-def descend(leds, state, t, work, prior, step, trial, eq, eq_trial, steps):
+def descend(leds, state, t, work, material, step, trial, eq, eq_trial, steps):
     """Levenberg and Marquardt's steps from `state` on, in place; `eq` is that of the last state."""
     step[DAMPING : DAMPING + LANES] = _DAMPING
-    evaluate(leds, state, t, work, prior, eq)
+    evaluate(leds, state, t, work, material, eq)
     for _ in range(steps):
         solve(eq, step)
         if _promise(eq, step) <= _NOTHING:
@@ -177,7 +177,7 @@ def descend(leds, state, t, work, prior, step, trial, eq, eq_trial, steps):
             _bound(step, row, _MOST_LOG)
         tangents(state, t)
         _advance(state, t, step, trial)
-        evaluate(leds, trial, t, work, prior, eq_trial)
+        evaluate(leds, trial, t, work, material, eq_trial)
         _judge(eq, eq_trial, step)
         better = step[BETTER : BETTER + LANES]
         choose(better, trial, state)

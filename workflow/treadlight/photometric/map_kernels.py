@@ -105,18 +105,18 @@ def _sharpen(leds, misfit2, brightest):
 
 
 @njit(cache=True, error_model="numpy")
-def _start(state, start, prior):
-    alpha, ratio = np.float32(math.exp(prior[0])), np.float32(math.exp(prior[1]))
+def _start(state, start, material):
+    alpha, ratio = np.float32(math.exp(material[0])), np.float32(math.exp(material[1]))
     for k in range(LANES):
         state[X + k], state[Y + k] = start[START_X + k], start[START_Y + k]
         state[Z + k] = start[START_Z + k]
         state[K_S + k] = max(start[START_KS + k], np.float32(1e-12))
-        state[LN_ALPHA + k], state[LN_RATIO + k] = prior[0], prior[1]
+        state[LN_ALPHA + k], state[LN_RATIO + k] = material[0], material[1]
         state[ALPHA + k], state[RATIO + k] = alpha, ratio
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def fit_pixels(intensity, lights, views, usable, noise, base, prior, misfit2, out):
+def fit_pixels(intensity, lights, views, usable, noise, base, material, misfit2, out):
     """The most probable normal and material of every pixel.
 
     Parameters
@@ -124,8 +124,8 @@ def fit_pixels(intensity, lights, views, usable, noise, base, prior, misfit2, ou
     intensity, lights, views, usable, noise : as in `Observations`
     base : (DIRECTIONS, 3) float32
         Unit vectors about (0, 0, 1).
-    prior : (5,) float32
-        Means of ln alpha and ln(k_d / k_s), and the inverse of their covariance (xx, xy, yy).
+    material : (6,) float32
+        `Material.packed`.
     misfit2 : float32
         Squared misfit of the model relative to the light, as `Material` defines it.
     out : (n, RESULTS) float64
@@ -134,12 +134,12 @@ def fit_pixels(intensity, lights, views, usable, noise, base, prior, misfit2, ou
     n = intensity.shape[1]
     for run in prange((n + _RUN - 1) // _RUN):
         first = np.int64(run) * _RUN
-        _fit_run(intensity, lights, views, usable, noise, base, prior, misfit2,
+        _fit_run(intensity, lights, views, usable, noise, base, material, misfit2,
                  first, min(n, first + _RUN), out)  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def _fit_run(intensity, lights, views, usable, noise, base, prior, misfit2, begin, end, out):
+def _fit_run(intensity, lights, views, usable, noise, base, material, misfit2, begin, end, out):
     """Blocks of pixels one after the other."""
     n_leds = intensity.shape[0]
     leds = np.empty(n_leds * LED, np.float32)
@@ -157,23 +157,23 @@ def _fit_run(intensity, lights, views, usable, noise, base, prior, misfit2, begi
         level2 = max(misfit2, _FIRST_MISFIT2)
         _gather(intensity, noise, usable, lights, views, first, count, leds)
         _sharpen(leds, level2, brightest)
-        choose_starts(leds, lights, views, first, count, base, prior, starts, desk)
+        choose_starts(leds, lights, views, first, count, base, material, starts, desk)
         least[:] = np.float32(np.inf)
         # A pixel that no start explains has no normal.
         best[:] = ZERO
         for s in range(STARTS):
-            _start(state, starts[s], prior)
-            descend(leds, state, t, work, prior, step, trial, eq, eq_trial, _FIRST_STEPS)
+            _start(state, starts[s], material)
+            descend(leds, state, t, work, material, step, trial, eq, eq_trial, _FIRST_STEPS)
             better = step[BETTER : BETTER + LANES]
             for k in range(LANES):
                 better[k] = ONE if eq[COST + k] < least[k] else ZERO
             choose(better, state, best)
             choose(better, eq[COST : COST + LANES], least)
-        descend(leds, best, t, work, prior, step, trial, eq, eq_trial, _STEPS)
+        descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
         if level2 > misfit2:
             _sharpen(leds, misfit2, brightest)
-            descend(leds, best, t, work, prior, step, trial, eq, eq_trial, _STEPS)
+            descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
         tangents(best, t)
-        rerender(leds, best, work, found)
+        rerender(leds, best, work, int(material[5]), found)
         covariances(eq, t, step, found)
         report(found, best, eq, views, first, count, out)

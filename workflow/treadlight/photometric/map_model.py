@@ -1,5 +1,8 @@
 """The full reflection model of many pixels side by side: its cost and normal equations.
 
+The gloss is Blinn and Phong's, or the generalised distribution of Trowbridge and Reitz (Burley
+2012) in their terms: what a pixel shows of texture below it, and microfacets, have longer tails.
+
 About 130 operations per pixel and LED.
 """
 
@@ -63,15 +66,33 @@ def tangents(state, t):
         t[VZ + k] = -y
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _look(led, state, k):
+    """n.l, whether it is lit, log2 (n.h) and 1 / n.h of one LED and lane."""
+    x, y, z = state[X + k], state[Y + k], state[Z + k]
+    nl = led[LX + k] * x + led[LY + k] * y + led[LZ + k] * z
+    nh = led[HX + k] * x + led[HY + k] * y + led[HZ + k] * z
+    power, inverse_nh = log2_and_inverse(min(max(nh, LEAST_NH), ONE))
+    return nl, ONE if nl > 0 else ZERO, power, inverse_nh
+
+
 @njit(cache=True, error_model="numpy")
-def shade(led, state, work):
-    """k_s (n.h)^alpha, k_d n.l, log2 (n.h) and alpha gloss / n.h of one LED."""
+def shade(led, state, work, squarings):
+    """Gloss and diffuse light of one LED, and the gloss's relative slopes by ln alpha and n.h.
+
+    `squarings` as `Material.squarings` has it.
+    """
+    if squarings < 0:
+        _shade_blinn_phong(led, state, work)
+    else:
+        _shade_trowbridge_reitz(led, state, work, squarings)
+
+
+@njit(cache=True, error_model="numpy")
+def _shade_blinn_phong(led, state, work):
+    """k_s (n.h)^alpha (eq. 5.1)."""
     for k in range(LANES):
-        x, y, z = state[X + k], state[Y + k], state[Z + k]
-        nl = led[LX + k] * x + led[LY + k] * y + led[LZ + k] * z
-        nh = led[HX + k] * x + led[HY + k] * y + led[HZ + k] * z
-        power, inverse_nh = log2_and_inverse(min(max(nh, LEAST_NH), ONE))
-        lit = ONE if nl > 0 else ZERO
+        nl, lit, power, inverse_nh = _look(led, state, k)
         alpha = state[ALPHA + k]
         gloss = state[K_S + k] * exp2(max(alpha * power, DARKEST)) * lit
         work[GLOSS + k] = gloss
@@ -79,6 +100,28 @@ def shade(led, state, work):
         work[_POWER + k] = power
         work[_SLOPE + k] = alpha * gloss * inverse_nh
         work[_LIT + k] = work[K_D + k] * lit
+
+
+@njit(cache=True, error_model="numpy")
+def _shade_trowbridge_reitz(led, state, work, squarings):
+    """k_s (1 - alpha ln(n.h) / gamma)^-gamma, gamma = 2^squarings: as sharp, with longer tails."""
+    share = LN2 / np.float32(2.0**squarings)
+    for k in range(LANES):
+        nl, lit, power, inverse_nh = _look(led, state, k)
+        alpha = state[ALPHA + k]
+        part = ONE / (ONE - share * alpha * power)
+        work[GLOSS + k] = part * lit
+        work[DIFFUSE + k] = work[K_D + k] * nl * lit
+        work[_POWER + k] = power * part
+        work[_SLOPE + k] = alpha * inverse_nh * part
+        work[_LIT + k] = work[K_D + k] * lit
+    for _ in range(squarings):
+        for k in range(LANES):
+            work[GLOSS + k] *= work[GLOSS + k]
+    for k in range(LANES):
+        gloss = state[K_S + k] * work[GLOSS + k]
+        work[GLOSS + k] = gloss
+        work[_SLOPE + k] *= gloss
 
 
 @njit(cache=True, error_model="numpy")
@@ -136,8 +179,8 @@ def _accumulate(led, state, work, eq):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_prior(state, prior, eq):
-    mean_a, mean_r, aa, ar, rr = prior[0], prior[1], prior[2], prior[3], prior[4]
+def _add_prior(state, material, eq):
+    mean_a, mean_r, aa, ar, rr = material[0], material[1], material[2], material[3], material[4]
     for k in range(LANES):
         x, y = state[LN_ALPHA + k] - mean_a, state[LN_RATIO + k] - mean_r
         gx, gy = aa * x + ar * y, ar * x + rr * y
@@ -150,16 +193,17 @@ def _add_prior(state, prior, eq):
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate(leds, state, t, work, prior, eq):
-    """Normal equations and cost of a block's state."""
+def evaluate(leds, state, t, work, material, eq):
+    """Normal equations and cost of a block's state; `material` as `Material.packed` has it."""
     eq[:] = ZERO
+    squarings = int(material[5])
     tangents(state, t)
     for k in range(LANES):
         work[K_D + k] = state[K_S + k] * state[RATIO + k]
     for m in range(len(leds) // LED):
         led = leds[m * LED : (m + 1) * LED]
-        shade(led, state, work)
+        shade(led, state, work, squarings)
         _weigh(led, work, eq)
         _tilt(led, t, work)
         _accumulate(led, state, work, eq)
-    _add_prior(state, prior, eq)
+    _add_prior(state, material, eq)

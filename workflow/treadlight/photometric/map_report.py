@@ -34,7 +34,7 @@ FOUND_LN_ALPHA, FOUND_LN_RATIO, CAA, CAR, CRR, RESULTS = range(15, 21)
 
 
 @njit(cache=True, error_model="numpy")
-def rerender(leds, state, work, found):
+def rerender(leds, state, work, squarings, found):
     """Mean relative error (eq. 5.30) over LEDs above three sigma, and how many LEDs there are."""
     relative, used = found[RESIDUAL * LANES :], found[LEDS * LANES :]
     bright = np.zeros(LANES, np.float32)
@@ -43,7 +43,7 @@ def rerender(leds, state, work, found):
         work[K_D + k] = state[K_S + k] * state[RATIO + k]
     for m in range(len(leds) // LED):
         led = leds[m * LED : (m + 1) * LED]
-        shade(led, state, work)
+        shade(led, state, work, squarings)
         for k in range(LANES):
             miss = led[LIGHT + k] - work[GLOSS + k] - work[DIFFUSE + k]
             relative[k] += abs(miss) * led[BRIGHT + k]

@@ -18,6 +18,7 @@ from treadlight.photometric.map_lanes import (
     LEAST_NH,
     LED,
     LIGHT,
+    LN2,
     LX,
     ONE,
     SHARP,
@@ -68,26 +69,32 @@ def starts_desk(n_leds):
 
 
 @njit(cache=True, error_model="numpy")
-def _show(led, normals, alpha, ratio, shown):
+def _show(led, normals, alpha, ratio, squarings, shown):
     """What one LED shows of unit gloss at all directions."""
     lx, ly, lz, hx, hy, hz = led[0], led[1], led[2], led[3], led[4], led[5]
     x, y, z = normals[0], normals[1], normals[2]
+    share = LN2 / np.float32(2.0**squarings)
+    for j in range(DIRECTIONS):
+        nh = min(max(hx * x[j] + hy * y[j] + hz * z[j], LEAST_NH), ONE)
+        power, _ = log2_and_inverse(nh)
+        blinn_phong = exp2(max(alpha * power, DARKEST))
+        shown[j] = blinn_phong if squarings < 0 else ONE / (ONE - share * alpha * power)
+    for _ in range(squarings):
+        for j in range(DIRECTIONS):
+            shown[j] *= shown[j]
     for j in range(DIRECTIONS):
         nl = lx * x[j] + ly * y[j] + lz * z[j]
-        nh = min(max(hx * x[j] + hy * y[j] + hz * z[j], LEAST_NH), ONE)
-        lit = ONE if nl > 0 else ZERO
-        power, _ = log2_and_inverse(nh)
-        shown[j] = lit * (exp2(max(alpha * power, DARKEST)) + ratio * nl)
+        shown[j] = (shown[j] + ratio * nl) * (ONE if nl > 0 else ZERO)
 
 
 @njit(cache=True, error_model="numpy")
-def _make_dictionary(lights, view, base, prior, place, normals, book):
+def _make_dictionary(lights, view, base, material, place, normals, book):
     """Directions about the view, and what the usual material shows at each, (LEDs, directions)."""
     x, y, z = view[0], view[1], view[2]
     sign = ONE if z >= 0 else -ONE
     a = -ONE / (sign + z)
     b = x * y * a
-    alpha, ratio = np.float32(math.exp(prior[0])), np.float32(math.exp(prior[1]))
+    alpha, ratio = np.float32(math.exp(material[0])), np.float32(math.exp(material[1]))
     for m in range(lights.shape[0]):
         hx, hy, hz = lights[m, 0] + x, lights[m, 1] + y, lights[m, 2] + z
         scale = ONE / math.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
@@ -102,7 +109,7 @@ def _make_dictionary(lights, view, base, prior, place, normals, book):
         normals[1, j] = u * sign * b + v * (sign + y * y * a) + w * y
         normals[2, j] = -u * sign * x - v * y + w * z
     for m in range(lights.shape[0]):
-        _show(place[m], normals, alpha, ratio, book[m])
+        _show(place[m], normals, alpha, ratio, int(material[5]), book[m])
 
 
 @njit(cache=True, error_model="numpy")
@@ -194,7 +201,7 @@ def _middle(waiting):
 
 
 @njit(cache=True, error_model="numpy")
-def choose_starts(leds, lights, views, first, count, base, prior, starts, desk):
+def choose_starts(leds, lights, views, first, count, base, material, starts, desk):
     """Normals and strengths to start each lane from: (STARTS, START), a flat block of rows each.
 
     `desk` is one of `starts_desk`.
@@ -208,7 +215,7 @@ def choose_starts(leds, lights, views, first, count, base, prior, starts, desk):
     lane = _middle(waiting)
     while lane >= 0:
         _make_dictionary(
-            lights[:, first + lane], views[first + lane], base, prior, place, normals, book
+            lights[:, first + lane], views[first + lane], base, material, place, normals, book
         )
         _serve(leds, place, waiting, served)
         served[lane] = ONE

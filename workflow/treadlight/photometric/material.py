@@ -3,7 +3,8 @@
 Fitted anew at every pixel, alpha and k_d / k_s are ill-posed where no LED shows the highlight;
 shared by all, they deny texture and patches of other rubber. So they are given a distribution,
 learned from the region itself (empirical Bayes): its mean is found by a search over shared
-materials, mean and width by expectation and maximisation.
+materials, mean and width by expectation and maximisation. The shape of the lobe is the region's
+too: the one with which some LEDs predict the others best.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 from treadlight.photometric import map_kernels, map_report, map_starts
 from treadlight.photometric.observations import Observations
 
-_SEARCH_PX, _SAMPLE_PX = 256, 4096
+_SEARCH_PX, _LOBE_PX, _SAMPLE_PX = 256, 1024, 4096
 _SEARCH_ALPHA = 2.0 ** np.arange(1, 10)
 _SEARCH_RATIO = 10.0 ** np.arange(-2, 2.1, 0.5)
 # Between two trial materials of the search, in logarithms; then, before anything is known.
@@ -21,6 +22,12 @@ _SEARCH_STD, _FIRST_STD = 0.3, 0.7
 # Misfit of a model that is about right, relative to the light: the search needs no better.
 _SEARCH_MISFIT = 0.1
 _ROUNDS = 12
+# Lobes that are tried, from the shortest tails on: gamma infinite, 8, 4, 2, 1.
+BLINN_PHONG = -1
+_SQUARINGS = (BLINN_PHONG, 3, 2, 1, 0)
+# LEDs are predicted in so many groups, each from all others. A lobe must predict better than
+# Blinn and Phong's by so many standard errors.
+_GROUPS, _SIGMAS = 4, 3.0
 _LEAST_STD = 0.02
 _LEAST_MISFIT = 1e-3
 # The percentile of a normal distribution's absolute values at so many standard deviations: of
@@ -44,17 +51,22 @@ class Material:
         Standard deviation of what the model does not explain, relative to the root mean square
         of an LED's intensity and the pixel's brightest one: a lobe of another shape misfits in
         proportion, a neighbour's reflection adds to dim LEDs too.
+    squarings : int
+        The lobe is k_s (1 - alpha ln(n.h) / gamma)^-gamma with gamma = 2^squarings, the generalised
+        distribution of Trowbridge and Reitz; `BLINN_PHONG` stands for gamma without bound, which
+        is k_s (n.h)^alpha. All are as sharp at their peak.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
     misfit: float
+    squarings: int = BLINN_PHONG
 
     @property
-    def prior(self) -> np.ndarray:
-        """As the kernel wants it, (5,) float32."""
+    def packed(self) -> np.ndarray:
+        """For the kernel, (6,) float32: mean, inverse covariance (xx, xy, yy), squarings."""
         inverse = np.linalg.inv(self.covariance)
-        values = [*self.mean, inverse[0, 0], inverse[0, 1], inverse[1, 1]]
+        values = [*self.mean, inverse[0, 0], inverse[0, 1], inverse[1, 1], self.squarings]
         return np.array(values, np.float32)
 
 
@@ -64,7 +76,7 @@ def fit(observations: Observations, material: Material) -> np.ndarray:
     map_kernels.fit_pixels(
         *observations.arrays(),
         _directions(),
-        material.prior,
+        material.packed,
         np.float32(material.misfit**2),
         out,
     )
@@ -89,7 +101,36 @@ def learn_material(observations: Observations) -> Material:
         A sample of the region, evenly spread; some thousand pixels are enough.
     """
     sample = spread(observations, _SAMPLE_PX)
-    return settle(sample, search(spread(sample, _SEARCH_PX)), _ROUNDS)
+    return settle(sample, _choose_lobe(sample), _ROUNDS)
+
+
+def _choose_lobe(sample: Observations) -> Material:
+    """The material, of any lobe, with which the LEDs predict each other best."""
+    some, few = spread(sample, _LOBE_PX), spread(sample, _SEARCH_PX)
+    trials = [settle(some, search(few, squarings), _ROUNDS) for squarings in _SQUARINGS]
+    errors = np.stack([_prediction_error(sample, trial) for trial in trials])
+    errors = errors[:, np.isfinite(errors).all(axis=0)]
+    if errors.shape[1] < 2:
+        return trials[0]
+    best = int(np.argmin(errors.mean(axis=1)))
+    gain = errors[0] - errors[best]
+    sure = gain.mean() > _SIGMAS * gain.std() / np.sqrt(len(gain))
+    return trials[best if sure else 0]
+
+
+def _prediction_error(sample: Observations, material: Material) -> np.ndarray:
+    """Of LEDs from others, (n,): the mean logarithm of the error, which is at least the noise."""
+    light = np.where(sample.usable, sample.intensity, np.nan)
+    groups = np.arange(len(light)) % _GROUPS
+    error = np.full(light.shape, np.nan)
+    for group in range(_GROUPS):
+        out = groups == group
+        others = replace(sample, usable=sample.usable & ~out[:, None])
+        error[out] = (light - rerender(sample, fit(others, material), material))[out]
+    logarithm = np.log(np.abs(error) + sample.noise)
+    known = np.isfinite(logarithm)
+    with np.errstate(invalid="ignore"):
+        return np.where(known, logarithm, 0).sum(axis=0) / known.sum(axis=0)
 
 
 def settle(sample: Observations, material: Material, rounds: int) -> Material:
@@ -102,7 +143,8 @@ def settle(sample: Observations, material: Material, rounds: int) -> Material:
             return material
         kept = known & (cost <= _TRIM_AT * np.median(cost[known]))
         mean, covariance = _maximise(found[kept], material.mean)
-        material = Material(mean, covariance, _misfit(sample, found, kept))
+        misfit = _misfit(sample, found, kept, material)
+        material = replace(material, mean=mean, covariance=covariance, misfit=misfit)
     return material
 
 
@@ -121,12 +163,13 @@ def spread(observations: Observations, count: int) -> Observations:
     )
 
 
-def search(sample: Observations) -> Material:
-    """The material that all pixels together fit best, by trying them all."""
+def search(sample: Observations, squarings: int = BLINN_PHONG) -> Material:
+    """The material of this lobe that all pixels together fit best, by trying them all."""
     best, least = None, np.inf
     for alpha in _SEARCH_ALPHA:
         for ratio in _SEARCH_RATIO:
-            trial = Material(np.log([alpha, ratio]), _SEARCH_STD**2 * np.eye(2), _SEARCH_MISFIT)
+            usual, width = np.log([alpha, ratio]), _SEARCH_STD**2 * np.eye(2)
+            trial = Material(usual, width, _SEARCH_MISFIT, squarings)
             cost = fit(sample, trial)[:, map_report.FOUND_COST]
             cost = cost[np.isfinite(cost)]
             # The logarithm: a material that fits most pixels wins, whatever the others are.
@@ -147,12 +190,12 @@ def _maximise(found: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.nda
     return mean, covariance + _LEAST_STD**2 * np.eye(2)
 
 
-def _misfit(sample: Observations, found: np.ndarray, kept: np.ndarray) -> float:
+def _misfit(sample: Observations, found: np.ndarray, kept: np.ndarray, material: Material) -> float:
     """What the model leaves beyond the sensor's noise, as `Material` defines it."""
     light = np.where(sample.usable, sample.intensity, np.nan)[:, kept].astype(np.float64)
     used = np.isfinite(light).sum(axis=0)
     scale = np.sqrt(0.5 * (light**2 + np.nanmax(light, axis=0) ** 2))
-    error = (light - rerender(sample, found)[:, kept]) / scale
+    error = (light - rerender(sample, found, material)[:, kept]) / scale
     error *= np.sqrt(used / np.maximum(used - _FITTED, 1))
     own = sample.noise[:, kept] / scale
     good = np.isfinite(error)
@@ -160,14 +203,20 @@ def _misfit(sample: Observations, found: np.ndarray, kept: np.ndarray) -> float:
     return max(float(np.sqrt(max(spread**2 - np.median(own[good] ** 2), 0.0))), _LEAST_MISFIT)
 
 
-def rerender(observations: Observations, found: np.ndarray) -> np.ndarray:
-    """What the model shows of the kernel's results (eq. 5.1), (n_leds, n)."""
+def rerender(observations: Observations, found: np.ndarray, material: Material) -> np.ndarray:
+    """What the model shows of the kernel's results, (n_leds, n)."""
     normal = found[:, map_report.NORMAL_X : map_report.NORMAL_Z + 1]
     k_d, k_s, alpha = found[:, map_report.FOUND_K_D : map_report.FOUND_ALPHA + 1].T
     half = observations.lights + observations.views
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
     cos_l = np.einsum("mni,ni->mn", observations.lights, normal)
     cos_h = np.clip(np.einsum("mni,ni->mn", half, normal), 1e-6, 1)
-    return np.where(
-        cos_l > 0, k_d * cos_l + k_s * cos_h**alpha, np.where(np.isnan(cos_l), np.nan, 0)
-    )
+    shown = k_d * cos_l + k_s * _lobe(cos_h, alpha, material.squarings)
+    return np.where(cos_l > 0, shown, np.where(np.isnan(cos_l), np.nan, 0))
+
+
+def _lobe(cos_h: np.ndarray, alpha: np.ndarray, squarings: int) -> np.ndarray:
+    if squarings == BLINN_PHONG:
+        return cos_h**alpha
+    gamma = 2.0**squarings
+    return (1 - alpha * np.log(cos_h) / gamma) ** -gamma

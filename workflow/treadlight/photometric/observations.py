@@ -57,7 +57,8 @@ class Estimate:
     normal : (n, 3) float32
         Unit normals in the frame of the observations.
     k_d, k_s, alpha : (n,) float32
-        Of eq. 5.1 (without n.l on the gloss).
+        Of eq. 5.1 (without n.l on the gloss); where the region's lobe has longer tails than eq.
+        5.1's, alpha is that of the Blinn-Phong lobe as sharp at its peak.
     residual : (n,) float32
         Mean relative rerendering error, eq. 5.30 as a mean over the LEDs used whose
         intensity is above three sigma of the noise.
