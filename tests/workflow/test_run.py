@@ -120,3 +120,18 @@ def test_status_of_a_healthy_archive_is_0(processed):
 def test_the_workflow_passes_snakemake_lint(processed):
     done = processed.snakemake("--lint", check=False)
     assert "Congratulations" in done.stdout + done.stderr, done.stdout + done.stderr
+
+
+def test_the_budget_says_what_true_inputs_would_gain(processed):
+    """Every source of every capture; true laser points and normals leave the least error."""
+    done = processed.run("treadlight", "budget", "archive", "--json")
+    report = json.loads(done.stdout)
+    captures = [path.parent.name for path in processed.results.glob("captures/*/profile.zarr")]
+    assert sorted(report["captures"]) == sorted(captures)
+    for sources in report["captures"].values():
+        tops = {source: row["seen"]["top"]["median_abs_mm"] for source, row in sources.items()}
+        assert set(tops) == {"measured", "calibration", "laser", "photometry", "both"}
+        assert tops["both"] < 0.7 * tops["measured"]
+    for later in report["wear"].values():
+        for sources in later.values():
+            assert abs(sources["both"]["mean_error_mm"]) < 0.02

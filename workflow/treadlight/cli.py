@@ -30,6 +30,7 @@ COMMANDS = {
     "index": "index",
     "status": "status",
     "evaluate": "evaluate",
+    "budget": "budget",
     "normals": "normals",
     "simulate": "simulate",
 }

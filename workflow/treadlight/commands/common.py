@@ -90,6 +90,13 @@ def write_provenance(
         store.write_json(folder.with_name(folder.name + ".provenance.json"), content)
 
 
+def recorded_settings(product: Path) -> dict[str, Any]:
+    """The settings that a product was made with, from what is written beside it."""
+    content = store.read_json(product.with_name(product.name + ".provenance.json"))
+    settings: dict[str, Any] = content["config"]
+    return settings
+
+
 def _short(path: Path) -> str:
     """A product's name without the place of the results folder."""
     parts = store.store_folder(path).parts

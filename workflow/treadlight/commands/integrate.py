@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 from treadlight.commands import common
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import numpy as np
     import xarray as xr
 
@@ -67,14 +65,12 @@ def integrate_products(
 
     from treadlight import integrate, store, tread
     from treadlight.archive import read_capture
-    from treadlight.geometry import CylinderGrid
 
     surface = store.open_store(args.surface).load()
     laser = store.open_store(args.laser).load()
     rig = store.read_rig(args.calibration)
-    grid = CylinderGrid(
-        surface.theta.values, surface.z.values, float(surface.attrs["nominal_radius_mm"])
-    )
+    first, grid = first_surface(surface)
+    sections = laser_sections(laser)
     capture = read_capture(args.capture)
     warnings = list(args.warning)
     usable = []
@@ -83,72 +79,76 @@ def integrate_products(
         if reason:
             warnings.append(f"{store.store_folder(view).name} is left out: {reason}")
         else:
-            usable.append((view, _camera(view, capture, rig)))
-    sections = integrate.LaserSections(
-        laser.r.values,
-        laser.theta.values,
-        laser.z.values,
-        laser.r_std.values,
-        laser.encoder.values,
-        float(laser.attrs["shared_rows"]),
-    )
+            number = int(store.store_folder(view).name.removeprefix("fov"))
+            usable.append((view, camera_centre(capture, number, rig)))
     if not np.isfinite(sections.r).any():
         warnings.append(
             "There are no laser points: the profile's level and large shape are not measured."
         )
     if not usable:
         warnings.append("There are no normals: the profile comes from the laser alone.")
-    profile = integrate.integrate_capture(
-        _read_views(usable),
-        sections,
-        integrate.FirstSurface(surface.r.values, surface.r_std.values),
-        grid,
-        settings.held_out_every,
-    )
+    views = (view_normals(store.open_store(path).load(), camera) for path, camera in usable)
+    profile = integrate.integrate_capture(views, sections, first, grid, settings.held_out_every)
     regions = tread.find_regions(profile.r, grid)
     closure = laser.attrs.get("closure_mm")
     report = integrate.quality_report(profile, regions, rig, closure, warnings)
     return _dataset(profile, surface, regions, grid), report
 
 
-def _camera(view: Path, capture: "Capture", rig: "Rig") -> "np.ndarray | None":
-    """Centre of the camera in {T} (r, theta, z), from the number in the view's name."""
+def first_surface(surface: "xr.Dataset") -> "tuple[integrate.FirstSurface, CylinderGrid]":
+    """What a surface.zarr holds."""
+    from treadlight.geometry import CylinderGrid
+    from treadlight.integrate import FirstSurface
+
+    radius = float(surface.attrs["nominal_radius_mm"])
+    grid = CylinderGrid(surface["theta"].to_numpy(), surface["z"].to_numpy(), radius)
+    return FirstSurface(surface["r"].to_numpy(), surface["r_std"].to_numpy()), grid
+
+
+def laser_sections(laser: "xr.Dataset") -> "integrate.LaserSections":
+    """What a laser.zarr holds."""
+    from treadlight.integrate import LaserSections
+
+    return LaserSections(
+        laser["r"].to_numpy(),
+        laser["theta"].to_numpy(),
+        laser["z"].to_numpy(),
+        laser["r_std"].to_numpy(),
+        laser["encoder"].to_numpy(),
+        float(laser.attrs["shared_rows"]),
+    )
+
+
+def camera_centre(capture: "Capture", view: int, rig: "Rig") -> "np.ndarray | None":
+    """Centre of the camera in {T} (r, theta, z) when it took a view."""
     import numpy as np
 
-    from treadlight import store
-
-    number = int(store.store_folder(view).name.removeprefix("fov"))
     if rig.axis is None:
         return None
-    encoder = np.radians(capture.view(number)[0].encoder_deg or 0.0)
+    encoder = np.radians(capture.view(view)[0].encoder_deg or 0.0)
     return np.array([np.linalg.norm(rig.axis.point), -encoder, 0.0])
 
 
-def _read_views(
-    paths: "list[tuple[Path, np.ndarray | None]]",
-) -> "Iterator[integrate.ViewNormals]":
-    """The views with their cameras, one in memory at a time."""
+def view_normals(view: "xr.Dataset", camera: "np.ndarray | None") -> "integrate.ViewNormals":
+    """What a photometric.zarr/fovNN holds, with the centre of its camera."""
     import numpy as np
 
-    from treadlight import store
     from treadlight.integrate import ViewNormals
 
-    for path, camera in paths:
-        view = store.open_store(path).load()
-        names = view.quality.attrs["flag_meanings"].split()
-        flags = {name: (view.quality.values >> bit) & 1 > 0 for bit, name in enumerate(names)}
-        yield ViewNormals(
-            view.normal.values,
-            view.normal_cov.values,
-            view.r.values,
-            view.theta.values,
-            view.z.values,
-            np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
-            flags["shadowed"],
-            flags["saturated"],
-            flags["poor_fit"],
-            camera,
-        )
+    names = view.quality.attrs["flag_meanings"].split()
+    flags = {name: (view.quality.values >> bit) & 1 > 0 for bit, name in enumerate(names)}
+    return ViewNormals(
+        view.normal.values,
+        view.normal_cov.values,
+        view.r.values,
+        view.theta.values,
+        view.z.values,
+        np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
+        flags["shadowed"],
+        flags["saturated"],
+        flags["poor_fit"],
+        camera,
+    )
 
 
 def _dataset(

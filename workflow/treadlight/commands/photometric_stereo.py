@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             part["r_std"].to_numpy(),
             settings,
         )
-        store.write_store(out, _dataset(found), title=title, source=capture.id)
+        store.write_store(out, dataset_of(found), title=title, source=capture.id)
 
     return common.run_stage(
         args,
@@ -164,7 +164,8 @@ def read_frames(capture: "Capture", frames: "list[Frame]") -> tuple["np.ndarray"
     return intensity, np.array([dark_noise(frame) for frame in intensity])
 
 
-def _dataset(found: "ViewNormals") -> "xr.Dataset":
+def dataset_of(found: "ViewNormals") -> "xr.Dataset":
+    """photometric.zarr/fovNN of the results contract."""
     import numpy as np
     import xarray as xr
 

@@ -12,8 +12,8 @@ from treadlight.evaluate.surface import (
     interpolate_at,
     look_up,
     masked_mean,
+    normals_at,
     outer_envelope,
-    true_normals,
 )
 from treadlight.evaluate.truth import Profile
 from treadlight.geometry import CylinderGrid
@@ -24,7 +24,7 @@ _FIT_LIMIT_MM = 1.0
 _DETAIL_SIGMA_MM = 3.0
 _EDGE_DEPTH_MM = 2.5
 _EDGE_REACH_CELLS = 1.5
-_NORMAL_BLUR_CELLS = 0.7
+NORMAL_BLUR_CELLS = 0.7
 _MIN_FACING = 0.85
 
 Figures = dict[str, Any]
@@ -277,12 +277,10 @@ def normal_figures(
     cell_mm : float
         The cell of the result: truth is blurred by 0.7 of it.
     """
-    normals = true_normals(truth, _NORMAL_BLUR_CELLS * cell_mm)
-    true = np.stack([interpolate_at(truth, normals[..., k], theta, z) for k in range(3)], axis=-1)
-    length = np.linalg.norm(true, axis=-1)
+    true = normals_at(truth, theta, z, NORMAL_BLUR_CELLS * cell_mm)
     with np.errstate(invalid="ignore", divide="ignore"):
-        facing = np.sum(true * towards_camera, axis=-1) / length > _MIN_FACING
-        cosine = np.sum(true * normal, axis=-1) / (length * np.linalg.norm(normal, axis=-1))
+        facing = np.sum(true * towards_camera, axis=-1) > _MIN_FACING
+        cosine = np.sum(true * normal, axis=-1) / np.linalg.norm(normal, axis=-1)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[facing]
     known = np.isfinite(angle)
     finite = angle[known]

@@ -222,3 +222,10 @@ def true_normals(truth: Profile, sigma_mm: float) -> np.ndarray:
     slope_theta, slope_z = _slopes(blur(truth, truth.r, sigma_mm), truth_grid(truth))
     normal = np.stack([np.ones_like(slope_z), -slope_theta, -slope_z], axis=-1)
     return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def normals_at(truth: Profile, theta: np.ndarray, z: np.ndarray, sigma_mm: float) -> np.ndarray:
+    """As `true_normals`, at scattered points of any shape, (..., 3); NaN outside the truth."""
+    normals = true_normals(truth, sigma_mm)
+    found = np.stack([interpolate_at(truth, normals[..., k], theta, z) for k in range(3)], axis=-1)
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)

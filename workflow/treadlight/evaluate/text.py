@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from treadlight.evaluate.budget import SOURCES
+
 _CLASSES = ("top", "floor", "slot", "deep", "wall", "all")
 _COLUMNS = ("bias_mm", "median_abs_mm", "rms_mm", "p95_mm")
 
@@ -20,6 +22,38 @@ def render(report: dict[str, Any]) -> str:
     if not lines:
         lines = ["No capture of the archive carries a truth/ folder: nothing to compare.", ""]
     return "\n".join(lines)
+
+
+def render_budget(report: dict[str, Any]) -> str:
+    """Text of a report of `treadlight budget` (see the command for its structure)."""
+    lines: list[str] = []
+    for name, sources in report["captures"].items():
+        lines += [f"Capture {name}", *_budget(sources), ""]
+    for tire, captures in report["wear"].items():
+        for name, sources in captures.items():
+            lines += [f"Wear of tire {tire} at {name}", *_wear_budget(sources), ""]
+    if not lines:
+        lines = ["No capture with a truth/ folder has a profile: nothing to take apart.", ""]
+    return "\n".join(lines)
+
+
+def _budget(sources: dict[str, Any]) -> list[str]:
+    parts = [(rows, name) for rows in ("all", "seen") for name in ("top", "floor")]
+    head = ["median / rms um", *(f"{name}, {rows} rows" for rows, name in parts), "edges"]
+    rows = [head]
+    for source, figures in sources.items():
+        cells = [figures[rows_of][name] for rows_of, name in parts]
+        texts = [f"{_um(c['median_abs_mm'])} / {_um(c['rms_mm'])}" for c in cells]
+        rows.append([SOURCES[source], *texts, _percent(figures["edges"])])
+    return _table(rows, right=True)
+
+
+def _wear_budget(sources: dict[str, Any]) -> list[str]:
+    rows = [["", "mean error um", "5 mm cells rms um"]]
+    for source, figures in sources.items():
+        texts = [_um(figures[name]) for name in ("mean_error_mm", "block_rms_mm")]
+        rows.append([SOURCES[source], *texts])
+    return _table(rows, right=True)
 
 
 def _calibration(figures: dict[str, Any]) -> list[str]:

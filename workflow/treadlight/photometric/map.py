@@ -10,11 +10,11 @@ def map_normals(observations: Observations, *, material: Material | None = None)
     """The most probable normal, strengths and shininess of each pixel.
 
     The full model of eq. 5.1, its lobe of the shape that suits the region (`Material`), is fitted
-    to all usable LEDs (Levenberg and Marquardt), with the region's distribution of (alpha, k_d / k_s) as a prior and Geman and McClure's function of the
-    residuals, which are weighed by the sensor's noise and the model's usual misfit. LEDs in a
-    shadow that nobody knew of, or lit by a neighbour, count little. It starts from the best few
-    of many directions, each with the usual material: from one start the fit can end in the wrong
-    lobe.
+    to all usable LEDs (Levenberg and Marquardt), with the region's distribution of (alpha,
+    k_d / k_s) as a prior and Geman and McClure's function of the residuals, which are weighed by
+    the sensor's noise and the model's usual misfit. LEDs in a shadow that nobody knew of, or lit
+    by a neighbour, count little. It starts from the best few of many directions, each with the
+    usual material: from one start the fit can end in the wrong lobe.
 
     Parameters
     ----------
