@@ -56,6 +56,13 @@ def test_background_tells_the_noise_around_a_textured_object(rng, masked, within
     assert dark_noise(frame) == pytest.approx(STD, rel=within)
 
 
+def test_what_black_clips_is_not_taken_for_quiet(rng):
+    """Half the frame lies half a standard deviation above black, where half the noise is lost."""
+    light = np.where(np.arange(400) < 200, 0.5 * STD, 0.1)
+    frame = np.maximum(noisy(rng, np.broadcast_to(light, SIZE)), 0)
+    assert dark_noise(frame) == pytest.approx(STD, rel=0.1)
+
+
 def test_quantisation_is_the_least(rng):
     coarse = np.round(RAMP * 255).astype(np.float32)
     assert dark_noise(coarse) >= 1 / np.sqrt(12)

@@ -9,6 +9,8 @@ _BLOCK = 8
 _GAIN = 36.0
 _INDEPENDENT = _BLOCK**2 / (70 / 36) ** 2
 _DARK_SHARE = 0.1
+# More pixels of a block than this at the frame's least intensity: black clips them.
+_CLIPPED_SHARE = 1 / 16
 # Texture and edges reach into some blocks and only add to what is seen there, so low quantiles
 # are taken: of the dark blocks, and of all, should no dark one be without.
 _QUANTILE_OF_DARK = 0.25
@@ -23,7 +25,8 @@ def dark_noise(frame: np.ndarray) -> float:
     lower quartile over the darkest tenth of the blocks, or the twentieth over all if that is
     less, is the noise's, once the quantile itself is allowed for. Dark is what a block's mean
     says: the darkest pixels would be those that noise made dark. Blocks without any contrast
-    (clipped at black, masked) are left out. Never below a 1/sqrt(12) of the smallest step
+    (masked) are left out, and those that black clips, as long as there are others: clipped noise
+    is less. Never below a 1/sqrt(12) of the smallest step
     between two intensities in the dark, which is what quantisation adds.
 
     Parameters
@@ -44,6 +47,8 @@ def dark_noise(frame: np.ndarray) -> float:
     known = np.isfinite(variance) & (variance > 0)
     if not known.any():
         return 0.0
+    clipped = np.mean(inner == np.nanmin(frame), axis=(1, 3)) > _CLIPPED_SHARE
+    known = known & ~clipped if (known & ~clipped).any() else known
     dark = known & (level <= np.quantile(level[known], _DARK_SHARE))
     spread = min(
         _from_quantile(variance[dark], _QUANTILE_OF_DARK),
