@@ -44,7 +44,8 @@ _SECTIONS = 3
 _GROOVE_DEPTH = 0.25
 # Of the way from a dark line's edge to where it is darkest.
 _MIDDLE = 0.9
-# What fills more of a column runs around the tire: a groove's lip, the rim of what is seen.
+# Of the rows that are seen: what fills more of a column runs around the tire, as a groove's lip or
+# the rim of what is seen.
 _AROUND = 0.5
 # Of a slot's cells: less is tilted tread with some shadow.
 _SEEN_SHARE = 0.25
@@ -150,7 +151,8 @@ def _cut_lines(
     sections know which.
     """
     lines = dark_lines(dark, grid)
-    lines *= (lines > 0).mean(axis=0) < _AROUND
+    seen = (dark > 0).any(axis=1)
+    lines *= (lines > 0).sum(axis=0) <= _AROUND * seen.sum()
     patches = find_patches(lines > 0, grid)
     return np.where(patches.select(_lost_share(patches, laser, lost) > _MOSTLY).mask, lines, 0)
 
