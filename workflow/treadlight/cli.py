@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import treadlight
-from treadlight.errors import TreadlightError
+from treadlight.errors import ConfigError, sentence_of
 
 # Command name -> module below treadlight.commands, in the order of the pipeline.
 COMMANDS = {
@@ -28,7 +28,9 @@ COMMANDS = {
     "wear": "wear",
     "report": "report",
     "index": "index",
+    "check": "check_capture",
     "status": "status",
+    "verify": "verify",
     "evaluate": "evaluate",
     "normals": "normals",
     "simulate": "simulate",
@@ -38,7 +40,7 @@ _PACKAGE = Path(treadlight.__file__).parent
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status (2 for a refusal that the user can mend)."""
+    """Run one command; returns the exit status: 1 for what failed, 2 for wrong use."""
     argv = sys.argv[1:] if argv is None else argv
     name = argv[0] if argv and argv[0] in COMMANDS else None
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
@@ -56,9 +58,9 @@ def main(argv: list[str] | None = None) -> int:
     _limit_threads(args.threads)
     try:
         return int(args.run(args) or 0)
-    except TreadlightError as error:
-        print(f"treadlight {args.command}: {error}", file=sys.stderr)
-        return 2
+    except Exception as error:
+        print(f"treadlight {args.command}: {sentence_of(error)}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigError) else 1
 
 
 def _limit_threads(threads: int) -> None:

@@ -13,9 +13,12 @@ from typing import Any, TypeVar
 
 import treadlight
 from treadlight import store
-from treadlight.errors import CalibrationError, CaptureError, ConfigError
+from treadlight.errors import ConfigError, StoreError, sentence_of
 
 T = TypeVar("T")
+# The machine's trouble (disk, memory, threads) and damaged products: mended, the same command
+# makes the product. All else is the data's, foreseen or not, and must not stop other captures.
+_NOT_OF_THE_DATA = (OSError, MemoryError, ImportError, SystemError, RuntimeError, ConfigError, StoreError)
 _VERSIONED = ("numpy", "scipy", "opencv-python-headless", "zarr", "xarray", "open3d", "numba")
 
 
@@ -62,8 +65,12 @@ def run_stage(
     if reason is None:
         try:
             work()
-        except (CaptureError, CalibrationError) as error:
-            reason = str(error)
+        except _NOT_OF_THE_DATA:
+            raise
+        except Exception as error:
+            if "nsufficient memory" in str(error):  # as OpenCV says it
+                raise MemoryError from error
+            reason = sentence_of(error)
     if reason is not None:
         print(f"Refused: {reason}", file=sys.stderr)
         for output in outputs:
