@@ -80,11 +80,7 @@ def find_archive(
             if not _selected(capture.id, include, exclude):
                 continue
             if capture.id in found:
-                first = found[capture.id].folder
-                raise CaptureError(
-                    f"{folder / 'capture.yaml'}: 'capture' is {capture.id!r}, as in {first}. Two"
-                    " captures cannot share an id."
-                )
+                raise CaptureError(shared_id(capture, found[capture.id]))
             if check:
                 check(capture)
             found[capture.id] = capture
@@ -95,12 +91,20 @@ def find_archive(
         for folder, name in _names(root, bad, found).items()
         if _selected(name, include, exclude)
     }
-    refused |= _other_tires(found)
+    refused |= other_tires(found)
     found = {name: capture for name, capture in found.items() if name not in refused}
     return _with_calibrations(found, refused, named_calibrations or {})
 
 
-def _other_tires(found: dict[str, Capture]) -> dict[str, str]:
+def shared_id(capture: Capture, first: Capture) -> str:
+    """That a capture has the id of another."""
+    return (
+        f"{capture.folder / 'capture.yaml'}: 'capture' is {capture.id!r}, as in {first.folder}. Two"
+        " captures cannot share an id. Give one of them another."
+    )
+
+
+def other_tires(found: dict[str, Capture]) -> dict[str, str]:
     """Captures whose tire has another size than most captures under its id."""
     tires: dict[str, list[Capture]] = {}
     for capture in found.values():

@@ -190,6 +190,15 @@ def read_capture(folder: Path) -> Capture:
     return Capture(**common, **_calibration_facts(facts, {f.kind for f in common["frames"]}))
 
 
+def radius_of_size(size: str) -> float | None:
+    """Radius (mm) of a new tire by its size designation, such as 215/70R16; None for others."""
+    found = re.search(r"(\d{3})/(\d{2,3})\s*[A-Z]{0,2}\s*(\d{2}(?:\.5)?)", size, re.ASCII)
+    if found is None:
+        return None
+    width, aspect, rim = map(float, found.groups())
+    return rim * 25.4 / 2 + width * aspect / 100
+
+
 def _measurement_facts(facts: "_Facts") -> dict[str, Any]:
     known = {"id", "size", "nominal_radius_mm", "tread_width_mm"}
     optional = {k: v for k, v in facts.mapping("tire").items() if k not in known}
@@ -425,6 +434,8 @@ def _check_together(
         key: tuple[Any, ...] = (frame.kind, frame.pose, frame.led, frame.encoder_deg)
         if frame.kind in ("laser", "board", "board_laser"):
             key = (frame.kind, frame.pose)
+        if frame.kind in ("balls", "card"):
+            key = (frame.kind, frame.led)
         if frame.kind == "led":
             key = (frame.kind, frame.pose, frame.led)
             encoder, first = encoders.setdefault(frame.pose, (frame.encoder_deg, number))

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.calibrate.axis import calibrate_axis
     from treadlight.calibrate.corners import find_corners
     from treadlight.calibrate.uncertainty import camera_jacobian
-    from treadlight.commands.common import progress, run_stage
+    from treadlight.commands.common import progress, read_or_warn, run_stage, with_warnings
     from treadlight.images import FrameReader
 
     capture = read_capture(args.capture)
@@ -40,9 +40,10 @@ def run(args: argparse.Namespace) -> int:
             store.write_json(args.out, {"axis": None})
             return
         reader = FrameReader(capture)
-        corners, angles = [], []
+        corners, angles, warnings = [], [], []
         for frame in progress(frames, "axis boards"):
-            found = find_corners(reader.read(frame).intensity, board.inner_corners)
+            light = read_or_warn(reader, frame, warnings)
+            found = None if light is None else find_corners(light.intensity, board.inner_corners)
             if found is not None:
                 corners.append(found)
                 angles.append(np.radians(frame.encoder_deg or 0.0))
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
         result = calibrate(camera)
         jacobian = camera_jacobian(camera, covariance, parameters)
-        store.write_json(args.out, _content(result, jacobian))
+        store.write_json(args.out, with_warnings(_content(result, jacobian), warnings))
 
     return run_stage(
         args,

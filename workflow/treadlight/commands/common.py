@@ -9,11 +9,15 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import treadlight
 from treadlight import store
-from treadlight.errors import ConfigError, StoreError, sentence_of
+from treadlight.errors import CaptureError, ConfigError, StoreError, sentence_of
+
+if TYPE_CHECKING:
+    from treadlight.archive import Frame
+    from treadlight.images import FrameReader, LinearFrame
 
 T = TypeVar("T")
 # The machine's trouble (disk, memory, threads) and damaged products: mended, the same command
@@ -110,6 +114,22 @@ def product_digest(path: Path) -> str:
         metadata = store.read_json(folder / store.ROOT_METADATA)
         return str(metadata["attributes"]["content_digest"])
     return hashlib.sha256(folder.read_bytes()).hexdigest()
+
+
+def read_or_warn(reader: "FrameReader", frame: "Frame", warnings: list[str]) -> "LinearFrame | None":
+    """The frame as light; None, and a sentence among the warnings, where it is damaged."""
+    try:
+        return reader.read(frame)
+    except CaptureError as error:
+        warnings.append(f"{error} It is left out.")
+        return None
+
+
+def with_warnings(content: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
+    """A JSON product's content with its warnings, where there are any."""
+    for warning in warnings:
+        print(f"Warning: {warning}", file=sys.stderr)
+    return {**content, "warnings": warnings} if warnings else content
 
 
 def progress(items: Iterable[T], label: str, every_s: float = 5.0) -> Iterator[T]:

@@ -76,14 +76,11 @@ def integrate_products(
         surface.theta.values, surface.z.values, float(surface.attrs["nominal_radius_mm"])
     )
     capture = read_capture(args.capture)
-    warnings = list(args.warning)
-    usable = []
-    for view in args.views:
-        reason = store.refused_reason(view)
-        if reason:
-            warnings.append(f"{store.store_folder(view).name} is left out: {reason}")
-        else:
-            usable.append((view, _camera(view, capture, rig)))
+    warnings = [*args.warning, *store.read_json(args.calibration).get("warnings", ())]
+    warnings += laser.attrs.get("warnings", ())
+    read, said = _usable_views(args.views)
+    warnings += said
+    usable = [(view, _camera(view, capture, rig)) for view in read]
     sections = integrate.LaserSections(
         laser.r.values,
         laser.theta.values,
@@ -109,6 +106,32 @@ def integrate_products(
     closure = laser.attrs.get("closure_mm")
     report = integrate.quality_report(profile, regions, rig, closure, warnings)
     return _dataset(profile, surface, regions, grid), report
+
+
+def _usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
+    """Views that are not refused and whose LEDs are those of the others, and warnings."""
+    from treadlight import store
+    from treadlight.images import doubts
+
+    usable, warnings, patterns, misfit = [], [], {}, {}
+    for path in views:
+        name = store.store_folder(path).name
+        if reason := store.refused_reason(path):
+            warnings.append(f"{name} is left out: {reason}")
+            continue
+        view = store.open_store(path)
+        warnings += [f"{name}: {sentence}" for sentence in view.attrs.get("warnings", ())]
+        usable.append(path)
+        leds = map(int, view["led"].values)
+        patterns[path] = dict(zip(leds, view["light_pattern"].values, strict=True))
+        misfit[path] = float(view["residual"].median(skipna=True))
+    for path, leds in doubts.views_with_swapped_leds(patterns, misfit).items():
+        usable.remove(path)
+        warnings.append(
+            f"{store.store_folder(path).name} is left out: its frames of LEDs"
+            f" {' and '.join(map(str, leds))} look exchanged. Correct led in frames.csv."
+        )
+    return usable, warnings
 
 
 def _camera(view: Path, capture: "Capture", rig: "Rig") -> "np.ndarray | None":

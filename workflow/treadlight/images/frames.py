@@ -34,9 +34,9 @@ class LinearFrame:
 class FrameReader:
     """Reads the frames of one capture; holds the capture's mean dark frame."""
 
-    def __init__(self, capture: Capture):
+    def __init__(self, capture: Capture, subtract_dark: bool = True):
         self.capture = capture
-        darks = [self._decode(frame) for frame in capture.of_kind("dark")]
+        darks = [self._decode(frame) for frame in capture.of_kind("dark") if subtract_dark]
         self._dark: np.ndarray | None = None
         if darks:
             linear = [_as_channels(self._linear(counts)) for counts in darks]
