@@ -31,6 +31,10 @@ class CaptureError(TreadlightError):
     """A capture cannot be used: it is left out, the others go on."""
 
 
+class NoLineError(CaptureError):
+    """No laser frame of a capture shows the laser's line."""
+
+
 class CalibrationError(TreadlightError):
     """A calibration capture does not hold what a calibration needs."""
 

@@ -28,6 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.calibrate.corners import find_corners
     from treadlight.calibrate.uncertainty import camera_jacobian
     from treadlight.commands.common import progress, read_or_warn, run_stage, with_warnings
+    from treadlight.errors import CalibrationError
     from treadlight.images import FrameReader
 
     capture = read_capture(args.capture)
@@ -56,8 +57,15 @@ def run(args: argparse.Namespace) -> int:
             axis = calibrate(camera).axis
             return np.concatenate([axis.direction, axis.point])
 
-        result = calibrate(camera)
-        jacobian = camera_jacobian(camera, covariance, parameters)
+        try:
+            with np.errstate(invalid="ignore"):
+                result = calibrate(camera)
+                jacobian = camera_jacobian(camera, covariance, parameters)
+        except np.linalg.LinAlgError:
+            raise CalibrationError(
+                "axis_board frames: the boards do not turn about one axis by the encoder's angles."
+                " Check that the board turns with the hub, and encoder_deg."
+            ) from None
         store.write_json(args.out, with_warnings(_content(result, jacobian), warnings))
 
     return run_stage(

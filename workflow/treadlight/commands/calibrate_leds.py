@@ -73,11 +73,20 @@ def _calibrated(capture, rig, warnings: list[str]) -> dict:
     from treadlight.calibrate.leds import calibrate_leds
     from treadlight.commands.common import read_or_warn
     from treadlight.errors import CalibrationError
-    from treadlight.images import FrameReader
+    from treadlight.images import FrameReader, doubts
 
     reader, balls = FrameReader(capture), capture.balls
-    frames = [f for f in capture.of_kind("balls") if read_or_warn(reader, f, warnings)]
+    looks = {
+        frame.file: doubts.look_at(light)
+        for frame in capture.of_kind("balls")
+        if (light := read_or_warn(reader, frame, warnings)) is not None
+    }
+    odd = doubts.unlit_frames(looks)
+    warnings += odd.values()
+    frames = [f for f in capture.of_kind("balls") if f.file in looks and f.file not in odd]
     frames.sort(key=lambda frame: frame.led or 0)
+    if not frames:
+        raise CalibrationError("No frame of kind 'balls' can be used. Take them again.")
     found = find_balls(
         _Frames(reader, frames),
         rig.camera,

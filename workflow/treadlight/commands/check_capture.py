@@ -65,7 +65,7 @@ def _check_folder(folder: Path, threads: int) -> int:
 def _report(folder: Path, notes: list[str], faults: list[str]) -> int:
     from treadlight.errors import plain
 
-    told = list(dict.fromkeys(faults))
+    told = _grouped(list(dict.fromkeys(faults)))
     for note in notes:
         print(plain(note))
     for fault in told[:_TOLD]:
@@ -75,6 +75,20 @@ def _report(folder: Path, notes: list[str], faults: list[str]) -> int:
     if notes and not told:
         print(plain(f"{folder}: healthy."))
     return len(told)
+
+
+def _grouped(faults: list[str]) -> list[str]:
+    """One sentence per kind of fault: what several frames share names the first of them."""
+    groups: dict[str, list[str]] = {}
+    for fault in faults:
+        head, _, tail = fault.partition(": ")
+        groups.setdefault(tail, []).append(head)
+    return [
+        f"{heads[0]}{f' and {len(heads) - 1} more' if len(heads) > 1 else ''}: {tail}"
+        if tail
+        else heads[0]
+        for tail, heads in groups.items()
+    ]
 
 
 def _check_one(folder: Path, threads: int) -> tuple[list[str], list[str]]:
@@ -178,6 +192,7 @@ def _lit_darks(capture: "Capture") -> list[str]:
 
 def _odd_measurement(capture: "Capture", looks: "dict[str, Look]", threads: int) -> list[str]:
     from treadlight.commands.detect_laser_pixels import detect_capture
+    from treadlight.errors import CaptureError
     from treadlight.images import doubts
 
     folder = capture.folder
@@ -186,7 +201,7 @@ def _odd_measurement(capture: "Capture", looks: "dict[str, Look]", threads: int)
     for number in capture.views:
         frames = capture.view(number)
         found = doubts.doubts_of_view({f.file: looks[f.file] for f in frames}, capture.laser_scan)
-        faults += [f"{folder}/{sentence}" for sentence in found.values()]
+        faults += [_named(capture, sentence) for sentence in found.values()]
         good = [f for f in frames if f.file not in found]
         patterns[number] = {f.led: looks[f.file].pattern for f in good if f.led is not None}
         misfit[number] = 0.0
@@ -202,8 +217,11 @@ def _odd_measurement(capture: "Capture", looks: "dict[str, Look]", threads: int)
             f"{folder / 'frames.csv'}: encoder_deg is {angles.pop()} in all laser frames. Give each"
             " the angle at which it was taken."
         )
-    told = detect_capture(capture, threads, tell_all=True).attrs.get("warnings", ())
-    return faults + [f"{folder}/{sentence}" for sentence in told]
+    try:
+        told = detect_capture(capture, threads, tell_all=True).attrs.get("warnings", ())
+    except CaptureError as error:
+        told = [str(error)]
+    return faults + [_named(capture, sentence) for sentence in told]
 
 
 def _size_and_radius(capture: "Capture") -> list[str]:
@@ -267,4 +285,7 @@ def _quietly(
 
 def _named(capture: "Capture", sentence: str) -> str:
     folder = str(capture.folder)
-    return sentence if folder in sentence else f"{folder}: {sentence}"
+    if folder in sentence:
+        return sentence
+    names_frame = any(sentence.startswith(frame.file) for frame in capture.frames)
+    return f"{folder}/{sentence}" if names_frame else f"{folder}: {sentence}"

@@ -97,8 +97,14 @@ def write_provenance(
         "versions": {name: importlib.metadata.version(name) for name in _VERSIONED},
     }
     for output in outputs:
-        folder = store.store_folder(output)
-        store.write_json(folder.with_name(folder.name + ".provenance.json"), content)
+        whole = {"product": _short(output), "product_digest": product_digest(output)} | content
+        path = store.provenance_of(store.store_folder(output))
+        store.write_json(path, whole | {"digest": provenance_digest(whole)})
+
+
+def provenance_digest(content: dict[str, Any]) -> str:
+    """Digest of a provenance file's content but for the digest itself."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _short(path: Path) -> str:

@@ -63,6 +63,7 @@ def detect_capture(capture: "Capture", threads: int, tell_all: bool = False) -> 
     Its attribute `warnings`, where there is any, tells which sections are left out and why; of
     many the first ones, or all.
     """
+    from treadlight.errors import NoLineError
     from treadlight.images import FrameReader
     from treadlight.laser import detect_section, learn_line_model, select_path
 
@@ -78,7 +79,13 @@ def detect_capture(capture: "Capture", threads: int, tell_all: bool = False) -> 
         return image.intensity, image.saturated
 
     step = -(-len(frames) // _LEARNT_FRAMES)
-    model = learn_line_model([read(frame) for frame in frames[step // 2 :: step]])
+    try:
+        model = learn_line_model([read(frame) for frame in frames[step // 2 :: step]])
+    except NoLineError as error:
+        if not capture.of_kind("led"):
+            raise
+        # The views under the LEDs still give the shape.
+        return _dataset(capture, [], [], []).assign_attrs(warnings=[str(error)])
 
     def detect(frame: "Frame") -> "tuple[Any, np.ndarray]":
         found = detect_section(*read(frame), model)

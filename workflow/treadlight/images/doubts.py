@@ -79,6 +79,18 @@ def doubts_of_view(looks: dict[str, Look], scan: str) -> dict[str, str]:
     scan : str
         Of the laser; ``rows`` where travel runs along the image rows.
     """
+    found = unlit_frames(looks)
+    good = {file: look for file, look in looks.items() if file not in found}
+    for file, shift in _moved(good, scan).items():
+        found[file] = (
+            f"{file}: shows the tread {shift:.0f} px off the other frames of its view, as if taken"
+            " at another angle. Correct its pose and encoder_deg, or drop its row."
+        )
+    return found
+
+
+def unlit_frames(looks: dict[str, Look]) -> dict[str, str]:
+    """Frames of one kind, each under one LED, that are dark or saturated all over: why, by file."""
     found = {}
     usual = float(np.median([look.level for look in looks.values()])) if looks else 0.0
     for file, look in looks.items():
@@ -86,12 +98,6 @@ def doubts_of_view(looks: dict[str, Look], scan: str) -> dict[str, str]:
             found[file] = f"{file}: is saturated all over. Expose it less, or drop its row."
         elif look.level < max(_DARK_LEVEL, _DARK_SHARE * usual):
             found[file] = f"{file}: is dark, as if its LED was not lit. Drop its row."
-    good = {file: look for file, look in looks.items() if file not in found}
-    for file, shift in _moved(good, scan).items():
-        found[file] = (
-            f"{file}: shows the tread {shift:.0f} px off the other frames of its view, as if taken"
-            " at another angle. Correct its pose and encoder_deg, or drop its row."
-        )
     return found
 
 

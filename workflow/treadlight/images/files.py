@@ -6,7 +6,7 @@ import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from treadlight.archive import Capture, Frame
 from treadlight.archive.manifest import MAX_PIXELS
@@ -53,11 +53,13 @@ def read_header(path: Path) -> tuple[int, int, int]:
     return header.width, header.height, header.bits
 
 
-def parse_header(source: Path | BinaryIO) -> Header | None:
-    """What a file claims to be; None where it is no PNG, TIFF or JPEG that can be read.
+def parse_header(path: Path, data: bytes | None = None) -> Header | None:
+    """What a file, or what was read from it, claims to be; None where it is no PNG, TIFF or JPEG that can be read.
 
     Raises
     ------
+    CaptureError
+        It claims more pixels than any camera has.
     OSError, MemoryError
         The machine could not read it.
     """
@@ -67,10 +69,16 @@ def parse_header(source: Path | BinaryIO) -> Header | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of tags that nobody here reads
+            source = path if data is None else io.BytesIO(data)
             with Image.open(source, formats=("PNG", "TIFF", "JPEG")) as image:
                 return _describe(image)
     except (MemoryError, PermissionError, FileNotFoundError, IsADirectoryError):
         raise
+    except Image.DecompressionBombError:
+        raise CaptureError(
+            f"{path}: claims more than {2 * MAX_PIXELS} pixels, which no camera has. Put the"
+            " image there or drop its row."
+        ) from None
     except UnidentifiedImageError:
         return None
     except OSError as error:

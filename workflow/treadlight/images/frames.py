@@ -1,7 +1,6 @@
 """From stored counts to corrected intensity, as capture-format.md defines it."""
 
 import hashlib
-import io
 from dataclasses import dataclass
 
 import cv2
@@ -71,7 +70,7 @@ class FrameReader:
                 " correct the digest if the change was meant."
             )
         # What the header claims comes first: a decoder may take memory for all of it.
-        header = parse_header(io.BytesIO(data))
+        header = parse_header(path, data)
         if header is not None and not self._is_as_told(header):
             width, height = self.capture.encoding.size_px
             raise CaptureError(
