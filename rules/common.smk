@@ -185,7 +185,9 @@ def say_failure(log):
     """What the failed stages said last, each in its own log."""
     logs = sorted((Path(RESULTS) / "logs").rglob("*.log"))
     recent = [path for path in logs if path.stat().st_mtime >= STARTED]
-    said = [(path.read_text(errors="replace").splitlines() or [""])[-1] for path in recent]
+    said = [
+        (path.read_text(errors="replace").splitlines() or [""])[-1] for path in recent
+    ]
     print(
         *(line for line in said if line.startswith("treadlight ")),
         f"Something failed: its own log under {RESULTS}/logs says what. Run the same command"

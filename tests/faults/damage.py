@@ -392,7 +392,7 @@ for _value in ("../t1-00200/dark.png", "/etc/passwd", "laser\\000.png", "laser/0
                "laser", "", "x" * 4096, "$(touch pwned).png", "; rm -rf .", "\x1b[31m.png",
                "~/.ssh/id_rsa", "nul\u2028line.png"):  # fmt: skip
     _cell("file", _value)
-for _value in ("-1", "1e9", "99999999999", "1.5", "٣", "0"):
+for _value in ("-1", "1e9", "99999999999", "1.5", "\u0663", "0"):
     _cell("pose", _value)
 for _value in ("16", "-1", "4097", "x", ""):
     _cell("led", _value, "led")
@@ -480,7 +480,11 @@ _yaml("cut_off", lambda data: data[: len(data) // 2])
 _yaml("in_latin_1", lambda data: data + "note: Prüfstand\n".encode("latin-1"))
 _yaml("of_random_bytes", lambda data: bytes(range(256)))
 _yaml("with_an_alias", lambda data: data + b"a: &a {x: 1}\nb: *a\n", 0)
-_yaml("with_a_script_as_size", lambda data: data.replace(b"215/70R16", b"<script>alert(1)</script>"), 0)
+_yaml(
+    "with_a_script_as_size",
+    lambda data: data.replace(b"215/70R16", b"<script>alert(1)</script>"),
+    0,
+)
 
 
 @listed()
@@ -575,8 +579,10 @@ def drop_rows(folder: Path, drop: Callable[[dict[str, str]], bool]) -> None:
 def three_boards(folder, rng):
     drop_rows(
         folder,
-        lambda row: row["kind"] == "axis_board"
-        or (row["kind"].startswith("board") and int(row["pose"]) > 1),
+        lambda row: (
+            row["kind"] == "axis_board"
+            or (row["kind"].startswith("board") and int(row["pose"]) > 1)
+        ),
     )
 
 
@@ -695,7 +701,8 @@ for _name, _value in {
 
 _NASTY = ("", "nan", "-1", "1e308", "../x", "/etc/passwd", "\0", "'", '"', "\n", ",", ";", "[", "{",
           "&a", "*a", "!!python/name:os.system", "true", "null", "0", "9" * 400, "<script>", "é",
-          "${HOME}", "`id`", "%s%n", "-", ": ", "# ", "\t", "|", ">", "١", "\u202e", "a" * 5000)  # fmt: skip
+          "${HOME}", "`id`", "%s%n", "-", ": ", "# ", "\t", "|", ">", "\u0661", "\u202e",
+          "a" * 5000)  # fmt: skip
 
 
 def mutated(seed: int) -> Damage:

@@ -187,9 +187,7 @@ def survive_snakemake_kills(
     return None if digests(project / "results") == reference else f"other bits after {killed} kills"
 
 
-def survive_two_at_once(
-    command: list[str], project: Path, reference: dict[str, str]
-) -> str | None:
+def survive_two_at_once(command: list[str], project: Path, reference: dict[str, str]) -> str | None:
     """Two processes of one stage at a time; both end, and the product is whole and the same."""
     both = [
         subprocess.Popen(

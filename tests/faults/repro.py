@@ -1,4 +1,4 @@
-"""make test-repro: two fresh clones in different folders, on one core and on two, agree in every bit.
+"""make test-repro: fresh clones in different folders, on one core and on two, agree in every bit.
 
 Each clone renders its own archive, compiles its own kernels and processes it with its own code.
 Ends with one line of JSON.

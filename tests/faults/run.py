@@ -32,7 +32,7 @@ from kills import (
 from trials import Healthy, survive
 
 
-class Loss(Exception):
+class LossError(Exception):
     """What was lost, and where."""
 
 
@@ -64,9 +64,9 @@ def main() -> int:
         ):
             figures[name] = trial(args, project, place)
         if state_of(project / "archive") != before:
-            raise Loss("the archive was written to")
+            raise LossError("the archive was written to")
         figures["snakemake_damages_survived"] = _snakemake_damages(args, project, place)
-    except Loss as loss:
+    except LossError as loss:
         figures["lost"] = str(loss)
         print(f"LOST: {loss}", file=sys.stderr)
     finally:
@@ -91,7 +91,7 @@ def _all(name: str, jobs: int, work: Callable, tasks: Iterable[tuple]) -> str:
             label, lost = future.result()
             if lost is not None:
                 pool.shutdown(cancel_futures=True)
-                raise Loss(f"{name}, {label}: {lost}")
+                raise LossError(f"{name}, {label}: {lost}")
             done += 1
             if done % 20 == 0 or done == len(tasks):
                 _say(f"{name}: {done} of {len(tasks)} survived")
@@ -160,14 +160,14 @@ def _snakemake_kills(args: argparse.Namespace, project: Path, place: Path) -> st
     lost = survive_snakemake_kills(copy, reference, args.snakemake_kills, rng, _say)
     shutil.rmtree(copy)
     if lost is not None:
-        raise Loss(f"snakemake: {lost}")
+        raise LossError(f"snakemake: {lost}")
     return f"{args.snakemake_kills} of {args.snakemake_kills}"
 
 
 def _snakemake_damages(args: argparse.Namespace, project: Path, place: Path) -> str:
     lost = survive_in_snakemake(copy_project(project, place / "damaged"), args.snakemake_damages)
     if lost is not None:
-        raise Loss(f"damaged captures through snakemake: {lost}")
+        raise LossError(f"damaged captures through snakemake: {lost}")
     _say(f"damaged captures through snakemake: {args.snakemake_damages} survived")
     return f"{args.snakemake_damages} of {args.snakemake_damages}"
 
@@ -178,7 +178,7 @@ def _corruptions(args: argparse.Namespace, project: Path, place: Path) -> str:
         shutil.copytree(project / "results", results, copy_function=os.link)
         what = inject(results, np.random.default_rng((args.seed, k)))
         if not is_found(results):
-            raise Loss(f"treadlight verify does not see: {what}")
+            raise LossError(f"treadlight verify does not see: {what}")
         shutil.rmtree(results)
     _say(f"corruptions of the results: {args.corruptions} of {args.corruptions} found")
     return f"{args.corruptions} of {args.corruptions}"

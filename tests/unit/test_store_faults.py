@@ -1,4 +1,4 @@
-"""A disk that fails at any call of the store: old products stay whole, nothing half-written shows."""
+"""A disk that fails at any call of the store: products stay whole, nothing half-written shows."""
 
 import errno
 import os

@@ -15,7 +15,7 @@ import os
 import shutil
 import socket
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -135,10 +135,8 @@ def publish(temporary: Path, path: Path) -> None:
     aside = path.with_name(f".{path.name}.old.{_OWNER}")
     _remove(aside)
     while True:
-        try:
+        with suppress(FileNotFoundError):
             os.rename(path, aside)
-        except FileNotFoundError:
-            pass
         try:
             os.rename(temporary, path)
             break

@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
             store.write_json(args.out, {"axis": None})
             return
         reader = FrameReader(capture)
-        corners, angles, warnings = [], [], []
+        corners, angles = [], []
+        warnings: list[str] = []
         for frame in progress(frames, "axis boards"):
             light = read_or_warn(reader, frame, warnings)
             found = None if light is None else find_corners(light.intensity, board.inner_corners)

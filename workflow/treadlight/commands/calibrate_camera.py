@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
         if capture.axis_board:
             kinds["axis_board"] = capture.axis_board
         frames = [(f, shown) for kind, shown in kinds.items() for f in capture.of_kind(kind)]
-        pairs, warnings, bare = [], [], []
+        pairs, bare = [], []
+        warnings: list[str] = []
         for frame, shown in progress(frames, "boards"):
             light = read_or_warn(reader, frame, warnings)
             if light is None:

@@ -43,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
         reader = FrameReader(capture)
         inner, square = capture.board.inner_corners, capture.board.square_mm
         board = object_points(inner, square)
-        observed, warnings = [], []
+        observed = []
+        warnings: list[str] = []
         for frame in progress(capture.of_kind("board"), "laser lines"):
             if frame.pose not in laser_frames:
                 continue

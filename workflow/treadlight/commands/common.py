@@ -22,7 +22,15 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 # The machine's trouble (disk, memory, threads) and damaged products: mended, the same command
 # makes the product. All else is the data's, foreseen or not, and must not stop other captures.
-_NOT_OF_THE_DATA = (OSError, MemoryError, ImportError, SystemError, RuntimeError, ConfigError, StoreError)
+_NOT_OF_THE_DATA = (
+    OSError,
+    MemoryError,
+    ImportError,
+    SystemError,
+    RuntimeError,
+    ConfigError,
+    StoreError,
+)
 _VERSIONED = ("numpy", "scipy", "opencv-python-headless", "zarr", "xarray", "open3d", "numba")
 
 
@@ -122,7 +130,9 @@ def product_digest(path: Path) -> str:
     return hashlib.sha256(folder.read_bytes()).hexdigest()
 
 
-def read_or_warn(reader: "FrameReader", frame: "Frame", warnings: list[str]) -> "LinearFrame | None":
+def read_or_warn(
+    reader: "FrameReader", frame: "Frame", warnings: list[str]
+) -> "LinearFrame | None":
     """The frame as light; None, and a sentence among the warnings, where it is damaged."""
     try:
         return reader.read(frame)

@@ -122,8 +122,8 @@ def _usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
         view = store.open_store(path)
         warnings += [f"{name}: {sentence}" for sentence in view.attrs.get("warnings", ())]
         usable.append(path)
-        leds = map(int, view["led"].values)
-        patterns[path] = dict(zip(leds, view["light_pattern"].values, strict=True))
+        numbers = [int(number) for number in view["led"].values]
+        patterns[path] = dict(zip(numbers, view["light_pattern"].values, strict=True))
         misfit[path] = float(view["residual"].median(skipna=True))
     for path, leds in doubts.views_with_swapped_leds(patterns, misfit).items():
         usable.remove(path)

@@ -83,7 +83,7 @@ def _listed_files(results: Path) -> dict[str, str]:
             raise StoreError("changed")
     except (StoreError, LookupError):
         return {"products.json": "is damaged."}
-    found = {}
+    found: dict[str, str] = {}
     for name, digest in files.items():
         product = _product_of(name)
         if not (results / name).is_file():
@@ -122,7 +122,7 @@ def _stores(results: Path) -> dict[str, str]:
 
 def _provenance(results: Path) -> dict[str, str]:
     """Products that are not what their provenance tells of, and provenance that is damaged."""
-    found = {}
+    found: dict[str, str] = {}
     for path in _provenance_files(results):
         product = path.with_name(path.name.removesuffix(_SUFFIX))
         name = product.relative_to(results).as_posix()

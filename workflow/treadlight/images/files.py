@@ -54,7 +54,7 @@ def read_header(path: Path) -> tuple[int, int, int]:
 
 
 def parse_header(path: Path, data: bytes | None = None) -> Header | None:
-    """What a file, or what was read from it, claims to be; None where it is no PNG, TIFF or JPEG that can be read.
+    """What a file, or `data` read from it, claims to be; None if it is no PNG, TIFF or JPEG.
 
     Raises
     ------

@@ -79,7 +79,8 @@ class FrameReader:
                 " wrong."
             )
         image = _pixels(data) if header is not None and is_whole(data) else None
-        if image is None or image.shape[:2] != (header.height, header.width):
+        width, height = self.capture.encoding.size_px
+        if image is None or image.shape[:2] != (height, width):
             raise CaptureError(f"{path}: cannot be decoded. Restore the image or drop its row.")
         return image if image.ndim == 3 else image[:, :, None]
 
