@@ -12,7 +12,7 @@ from snakemake.exceptions import WorkflowError
 from treadlight import store
 from treadlight.archive import find_archive
 from treadlight.commands.status import describe, read_outcome
-from treadlight.errors import TreadlightError
+from treadlight.errors import TreadlightError, sentence_of
 from treadlight.planning.code import code_digest
 from treadlight.planning.config import complete_config, load_schema
 from treadlight.planning.frames import FrameDigests, facts_digest
@@ -36,13 +36,16 @@ STARTED = time.time()
 RESULTS = CONFIG["results"].rstrip("/")
 PASSES = CONFIG["passes"]
 DIGESTS = FrameDigests(Path(RESULTS) / ".treadlight/frames")
-ARCHIVE = find_archive(
-    Path(CONFIG["archive"]),
-    CONFIG["include"],
-    CONFIG["exclude"],
-    CONFIG["calibrations"],
-    DIGESTS.check,
-)
+try:
+    ARCHIVE = find_archive(
+        Path(CONFIG["archive"]),
+        CONFIG["include"],
+        CONFIG["exclude"],
+        CONFIG["calibrations"],
+        DIGESTS.check,
+    )
+except OSError as error:
+    raise WorkflowError(sentence_of(error)) from None
 if not ARCHIVE.measurements and not ARCHIVE.calibrations and not ARCHIVE.refused:
     raise WorkflowError(
         f"{config_source}: 'archive' is {CONFIG['archive']!r}, where no capture.yaml is found"

@@ -42,6 +42,17 @@ _PACKAGE = Path(treadlight.__file__).parent
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 1 for what failed, 2 for wrong use."""
     argv = sys.argv[1:] if argv is None else argv
+    try:
+        return _run(argv)
+    except Exception as error:
+        command = argv[0] if argv else ""
+        print(f"treadlight {command}: {sentence_of(error)}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigError) else 1
+
+
+def _run(argv: list[str]) -> int:
+    # Before a command's module loads numpy: sums by several threads depend on their number.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     name = argv[0] if argv and argv[0] in COMMANDS else None
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
     parser.add_argument("--version", action="version", version=treadlight.__version__)
@@ -56,18 +67,11 @@ def main(argv: list[str] | None = None) -> int:
         sub.set_defaults(run=module.run)
     args = parser.parse_args(argv)
     _limit_threads(args.threads)
-    try:
-        return int(args.run(args) or 0)
-    except Exception as error:
-        print(f"treadlight {args.command}: {sentence_of(error)}", file=sys.stderr)
-        return 2 if isinstance(error, ConfigError) else 1
+    return int(args.run(args) or 0)
 
 
 def _limit_threads(threads: int) -> None:
-    """Libraries read these when they are first imported, so commands import them lazily.
-
-    BLAS stays on one thread: its sums would otherwise depend on the number of cores.
-    """
+    """Libraries read these when they are first imported, so commands import them lazily."""
     numba = sys.modules.get("numba")
     if numba is not None:
         # Called from a running program, whose threads are there already: use fewer of them.
@@ -75,7 +79,6 @@ def _limit_threads(threads: int) -> None:
         return
     for variable in _THREAD_VARIABLES:
         os.environ[variable] = str(threads)
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
 
 

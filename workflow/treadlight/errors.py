@@ -53,6 +53,11 @@ def sentence_of(error: BaseException) -> str:
         return str(error)
     if isinstance(error, MemoryError):
         return "Not enough memory. Free some, or give the job more, and run the same command again."
+    if isinstance(error, ImportError):
+        return plain(
+            f"A library cannot be loaded ({error}). Give the job more memory, or install again by"
+            " make setup."
+        )
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or str(error)
