@@ -1,5 +1,6 @@
 """A small project, processed; and an archive of damaged captures beside its healthy ones."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -60,9 +61,10 @@ def survive_in_snakemake(project: Path, count: int) -> str | None:
     if status.returncode != 1:
         return f"status exits {status.returncode}"
     for name, damage_name in names.items():
-        lines = [line for line in status.stdout.splitlines() if name in line]
-        if not any("refused" in line or ": " in line for line in lines):
-            return f"status does not tell of {name} ({damage_name}): {lines}"
+        # Refused with its sentence, or measured with a warning below its line.
+        told = re.search(rf"^  {name}: .+|^  {name} \(.*\n    Warning: .+", status.stdout, re.M)
+        if told is None:
+            return f"status does not tell of {name} ({damage_name}): {status.stdout}"
     now = digests(project / "results")
     healthy = [name for name in reference if name.startswith(("calibrations", "captures", "tires"))]
     changed = [name for name in healthy if now.get(name) != reference[name]]
