@@ -43,12 +43,16 @@ def run(args: argparse.Namespace) -> int:
         print(plain(line))
     for product, reason in sorted(damaged.items()):
         print(plain(f"{args.results / product}: {reason}"), file=sys.stderr)
-        if args.remove:
-            remove_product(args.results / product)
+    removed = with_followers(args.results, set(damaged)) if args.remove and damaged else set()
+    for product in removed:
+        remove_product(args.results / product)
     if not damaged:
         print("Every file is as it was made.")
     elif args.remove:
-        print(f"Removed {len(damaged)} products. Run snakemake again: it makes them anew.")
+        print(
+            f"Removed {len(removed)} products, damaged or made from damaged ones. Run snakemake"
+            " again: it makes them anew."
+        )
     else:
         print(
             f"Damaged: {len(damaged)} products. Run 'treadlight verify --remove {args.results}',"
@@ -163,6 +167,33 @@ def describe_provenance(results: Path) -> list[str]:
             f" {json.dumps(content['config'], sort_keys=True)}, from {inputs or 'the capture'}"
         )
     return lines
+
+
+def with_followers(results: Path, products: set[str]) -> set[str]:
+    """Products (below the results) with all that was made from them, to the archive's page.
+
+    Snakemake makes what is missing only where something that needs it is missing too.
+    """
+    made_from = {}
+    for path in _provenance_files(results):
+        content = _read_provenance(path)
+        name = path.relative_to(results).as_posix().removesuffix(_SUFFIX)
+        made_from[name] = set(content["inputs"]) if content else set()
+    found = products | {"index.html", "products.json"}
+    while True:
+        more = {
+            name
+            for name, inputs in made_from.items()
+            if name not in found and any(_names(told, one) for told in inputs for one in found)
+        }
+        if not more:
+            return found
+        found |= more
+
+
+def _names(told: str, product: str) -> bool:
+    """Whether provenance, which keeps the last parts of a path, means this product."""
+    return f"/{product}".endswith(f"/{told}") or f"/{told}".endswith(f"/{product}")
 
 
 def remove_product(path: Path) -> None:
