@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench-photometry bench-speed lint format lock clean
+.PHONY: help setup demo test test-faults test-repro bench-photometry bench-speed lint format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -31,6 +31,12 @@ demo: setup ## Make the demo archive (once), process it, say where the result pa
 
 test: setup ## Run all tests, with coverage
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
+
+test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (up to half an hour)
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tests/faults/run.py --jobs $(CORES)
+
+test-repro: setup ## Two fresh clones, on one core and on two, give the same digests
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tests/faults/repro.py
 
 bench-photometry: setup ## Every estimator of normals on renders, photographs and a tire (figures in build/)
 	sh tests/benchmarks/photometry/povray.sh

@@ -4,13 +4,15 @@ import json
 import os
 import shlex
 import sys
+import time
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
+from treadlight import store
 from treadlight.archive import find_archive
 from treadlight.commands.status import describe, read_outcome
-from treadlight.errors import TreadlightError
+from treadlight.errors import TreadlightError, sentence_of
 from treadlight.planning.code import code_digest
 from treadlight.planning.config import complete_config, load_schema
 from treadlight.planning.frames import FrameDigests, facts_digest
@@ -30,16 +32,20 @@ try:
 except TreadlightError as error:
     raise WorkflowError(str(error)) from None
 
+STARTED = time.time()
 RESULTS = CONFIG["results"].rstrip("/")
 PASSES = CONFIG["passes"]
 DIGESTS = FrameDigests(Path(RESULTS) / ".treadlight/frames")
-ARCHIVE = find_archive(
-    Path(CONFIG["archive"]),
-    CONFIG["include"],
-    CONFIG["exclude"],
-    CONFIG["calibrations"],
-    DIGESTS.check,
-)
+try:
+    ARCHIVE = find_archive(
+        Path(CONFIG["archive"]),
+        CONFIG["include"],
+        CONFIG["exclude"],
+        CONFIG["calibrations"],
+        DIGESTS.check,
+    )
+except OSError as error:
+    raise WorkflowError(sentence_of(error)) from None
 if not ARCHIVE.measurements and not ARCHIVE.calibrations and not ARCHIVE.refused:
     raise WorkflowError(
         f"{config_source}: 'archive' is {CONFIG['archive']!r}, where no capture.yaml is found"
@@ -179,8 +185,16 @@ def say_result():
 
 
 def say_failure(log):
+    """What the failed stages said last, each in its own log."""
+    logs = sorted((Path(RESULTS) / "logs").rglob("*.log"))
+    recent = [path for path in logs if path.stat().st_mtime >= STARTED]
+    said = [
+        (path.read_text(errors="replace").splitlines() or [""])[-1] for path in recent
+    ]
     print(
+        *(line for line in said if line.startswith("treadlight ")),
         f"Something failed: its own log under {RESULTS}/logs says what. Run the same command"
-        " again to go on from there.",
+        " again, with --rerun-incomplete, to go on from there.",
+        sep="\n",
         file=sys.stderr,
     )

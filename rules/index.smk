@@ -10,7 +10,7 @@ rule list_archive:
         "Listing the archive"
     run:
         # Too long for a command line where the archive is large.
-        Path(output[0]).write_text(params.state, encoding="utf-8")
+        store.write_text(Path(output[0]), params.state)
 
 
 rule index:

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import treadlight
-from treadlight.errors import TreadlightError
+from treadlight.errors import ConfigError, sentence_of
 
 # Command name -> module below treadlight.commands, in the order of the pipeline.
 COMMANDS = {
@@ -28,7 +28,9 @@ COMMANDS = {
     "wear": "wear",
     "report": "report",
     "index": "index",
+    "check": "check_capture",
     "status": "status",
+    "verify": "verify",
     "evaluate": "evaluate",
     "budget": "budget",
     "normals": "normals",
@@ -39,8 +41,19 @@ _PACKAGE = Path(treadlight.__file__).parent
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status (2 for a refusal that the user can mend)."""
+    """Run one command; returns the exit status: 1 for what failed, 2 for wrong use."""
     argv = sys.argv[1:] if argv is None else argv
+    try:
+        return _run(argv)
+    except Exception as error:
+        command = argv[0] if argv else ""
+        print(f"treadlight {command}: {sentence_of(error)}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigError) else 1
+
+
+def _run(argv: list[str]) -> int:
+    # Before a command's module loads numpy: sums by several threads depend on their number.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     name = argv[0] if argv and argv[0] in COMMANDS else None
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
     parser.add_argument("--version", action="version", version=treadlight.__version__)
@@ -55,18 +68,11 @@ def main(argv: list[str] | None = None) -> int:
         sub.set_defaults(run=module.run)
     args = parser.parse_args(argv)
     _limit_threads(args.threads)
-    try:
-        return int(args.run(args) or 0)
-    except TreadlightError as error:
-        print(f"treadlight {args.command}: {error}", file=sys.stderr)
-        return 2
+    return int(args.run(args) or 0)
 
 
 def _limit_threads(threads: int) -> None:
-    """Libraries read these when they are first imported, so commands import them lazily.
-
-    BLAS stays on one thread: its sums would otherwise depend on the number of cores.
-    """
+    """Libraries read these when they are first imported, so commands import them lazily."""
     numba = sys.modules.get("numba")
     if numba is not None:
         # Called from a running program, whose threads are there already: use fewer of them.
@@ -74,7 +80,6 @@ def _limit_threads(threads: int) -> None:
         return
     for variable in _THREAD_VARIABLES:
         os.environ[variable] = str(threads)
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
 
 

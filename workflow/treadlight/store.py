@@ -6,12 +6,16 @@ written is never read as if it were whole.
 """
 
 import csv
+import errno
+import glob
 import hashlib
 import io
 import json
 import os
 import shutil
-from collections.abc import Iterable
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +31,8 @@ ROOT_METADATA = "zarr.json"
 _CHUNK = 256
 _SHARD = 1024
 _CONVENTIONS = "CF-1.11"
+_HOST = socket.gethostname()
+_OWNER = f"{_HOST}-{os.getpid()}"
 
 
 def write_store(path: Path, dataset: xr.Dataset, *, title: str, source: str) -> None:
@@ -51,16 +57,53 @@ def write_store(path: Path, dataset: xr.Dataset, *, title: str, source: str) -> 
             raise ValueError(f"{title}: variable {name!r} lacks {sorted(missing)}.")
     root = {"title": title, "source": source, "Conventions": _CONVENTIONS}
     dataset = _with_strings(dataset.assign_attrs({**dataset.attrs, **root}))
-    temporary = path.with_name(f".{path.name}.writing")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.parent.mkdir(parents=True, exist_ok=True)
     encoding = {name: _encoding(variable) for name, variable in dataset.variables.items()}
-    # One thread per store: blosc frames then never depend on the number of cores.
-    with zarr.config.set({"async.concurrency": 1, "threading.max_workers": 1}):
-        dataset.to_zarr(temporary, zarr_format=3, consolidated=False, encoding=encoding)
-    group = zarr.open_group(temporary, mode="r+", use_consolidated=False)
-    group.attrs["content_digest"] = content_digest(temporary)
-    publish(temporary, path)
+    with _temporary_sibling(path) as temporary:
+        # One thread per store: blosc frames then never depend on the number of cores.
+        with zarr.config.set({"async.concurrency": 1, "threading.max_workers": 1}):
+            dataset.to_zarr(temporary, zarr_format=3, consolidated=False, encoding=encoding)
+        group = zarr.open_group(temporary, mode="r+", use_consolidated=False)
+        group.attrs["content_digest"] = content_digest(temporary)
+        provenance_of(path).unlink(missing_ok=True)
+        publish(temporary, path)
+
+
+@contextmanager
+def _temporary_sibling(path: Path) -> Iterator[Path]:
+    """A hidden name beside a product for this process alone; what is left there is deleted."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _clear_leftovers(path)
+    temporary = path.with_name(f".{path.name}.writing.{_OWNER}")
+    try:
+        yield temporary
+    finally:
+        _remove(temporary)
+
+
+def _clear_leftovers(path: Path) -> None:
+    """Delete what killed processes left beside a product; others may be writing it just now."""
+    for state in ("writing", "old"):
+        for left in path.parent.glob(f".{glob.escape(path.name)}.{state}*"):
+            host, _, pid = left.name.rpartition(f".{state}")[2].lstrip(".").rpartition("-")
+            if not pid or (host == _HOST and pid.isdigit() and not _lives(int(pid))):
+                _remove(left)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return pid != os.getpid()
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _with_strings(dataset: xr.Dataset) -> xr.Dataset:
@@ -89,12 +132,20 @@ def _encoding(variable: xr.Variable) -> dict[str, Any]:
 
 def publish(temporary: Path, path: Path) -> None:
     """Move a finished folder into place; the old one is moved aside first, then deleted."""
-    aside = path.with_name(f".{path.name}.old")
-    shutil.rmtree(aside, ignore_errors=True)
-    if path.exists():
-        os.rename(path, aside)
-    os.rename(temporary, path)
-    shutil.rmtree(aside, ignore_errors=True)
+    aside = path.with_name(f".{path.name}.old.{_OWNER}")
+    _remove(aside)
+    while True:
+        with suppress(FileNotFoundError):
+            os.rename(path, aside)
+        try:
+            os.rename(temporary, path)
+            break
+        except OSError as error:
+            # Another process published between the two renames: its folder goes aside as well.
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+            _remove(aside)
+    _remove(aside)
 
 
 def content_digest(path: Path) -> str:
@@ -126,13 +177,23 @@ def open_store(path: Path) -> xr.Dataset:
         The store is missing, incomplete or damaged.
     """
     path = store_folder(path)
-    metadata = path / ROOT_METADATA
-    if not metadata.is_file():
+    check_content(path)
+    return xr.open_zarr(path, consolidated=False, chunks=None)
+
+
+def check_content(path: Path) -> None:
+    """Hold a store (its folder) against its digest.
+
+    Raises
+    ------
+    StoreError
+        It is missing, incomplete or damaged.
+    """
+    if not (path / ROOT_METADATA).is_file():
         raise StoreError(f"{path}: there is no such product. Run the stage that writes it.")
     claimed = _root_attributes(path).get("content_digest")
     if claimed is None or claimed != content_digest(path):
         raise StoreError(f"{path}: its content does not match its digest. Delete it and run again.")
-    return xr.open_zarr(path, consolidated=False, chunks=None)
 
 
 def store_folder(path: Path) -> Path:
@@ -196,9 +257,29 @@ def read_json(path: Path) -> dict[str, Any]:
         It is missing or damaged.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(_read_checked(path))
     except (OSError, ValueError) as error:
         raise StoreError(f"{path}: cannot be read ({error}). Delete it and run again.") from None
+    if not isinstance(content, dict):
+        raise StoreError(f"{path}: is damaged. Delete it and run again.")
+    return content
+
+
+def _read_checked(path: Path) -> str:
+    """The text of a product, held against the digest in its provenance where there is one."""
+    data = path.read_bytes()
+    try:
+        told = json.loads(provenance_of(path).read_bytes())["product_digest"]
+    except (OSError, ValueError, LookupError, TypeError):
+        told = None
+    if told is not None and told != hashlib.sha256(data).hexdigest():
+        raise StoreError(f"{path}: its content does not match its digest. Delete it and run again.")
+    return data.decode("utf-8")
+
+
+def provenance_of(path: Path) -> Path:
+    """Where it stands what a product (store's folder, or file) was made from."""
+    return path.with_name(path.name + ".provenance.json")
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -210,17 +291,18 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         It is missing or damaged.
     """
     try:
-        return list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")), strict=True))
+        return list(csv.DictReader(io.StringIO(_read_checked(path)), strict=True))
     except (OSError, ValueError, csv.Error) as error:
         raise StoreError(f"{path}: cannot be read ({error}). Delete it and run again.") from None
 
 
 def write_text(path: Path, text: str) -> None:
     """Publish a text file atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.writing")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    with _temporary_sibling(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+        # What was told of the old product does not hold for the new one.
+        provenance_of(path).unlink(missing_ok=True)
+        os.replace(temporary, path)
 
 
 def variable(
@@ -245,6 +327,13 @@ def read_rig(path: Path) -> Rig:
         The file is missing or damaged.
     """
     content = read_json(path)
+    try:
+        return _rig(content)
+    except (LookupError, TypeError, ValueError) as error:
+        raise StoreError(f"{path}: is damaged ({error}). Delete it and run again.") from None
+
+
+def _rig(content: dict[str, Any]) -> Rig:
     camera = content["camera"]
     covariance = content.get("covariance") or {"order": [], "matrix": []}
     return Rig(

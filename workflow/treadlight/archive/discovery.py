@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from treadlight.archive.manifest import ID, Capture, read_capture
-from treadlight.errors import CaptureError
+from treadlight.errors import CaptureError, plain
 
 
 @dataclass(frozen=True)
@@ -69,18 +69,18 @@ def find_archive(
     check : called with each capture; raises CaptureError for one that cannot be used.
     """
     found: dict[str, Capture] = {}
-    bad: dict[Path, str] = {}
-    for folder in _capture_folders(root):
+    folders, bad = _capture_folders(root)
+    for folder in folders:
         try:
+            if not str(folder).isprintable():
+                raise CaptureError(
+                    f"{folder}: the folder's name cannot be printed. Rename the folder."
+                )
             capture = read_capture(folder)
             if not _selected(capture.id, include, exclude):
                 continue
             if capture.id in found:
-                first = found[capture.id].folder
-                raise CaptureError(
-                    f"{folder / 'capture.yaml'}: 'capture' is {capture.id!r}, as in {first}. Two"
-                    " captures cannot share an id."
-                )
+                raise CaptureError(shared_id(capture, found[capture.id]))
             if check:
                 check(capture)
             found[capture.id] = capture
@@ -91,7 +91,41 @@ def find_archive(
         for folder, name in _names(root, bad, found).items()
         if _selected(name, include, exclude)
     }
+    refused |= other_tires(found)
+    found = {name: capture for name, capture in found.items() if name not in refused}
     return _with_calibrations(found, refused, named_calibrations or {})
+
+
+def shared_id(capture: Capture, first: Capture) -> str:
+    """That a capture has the id of another."""
+    return (
+        f"{capture.folder / 'capture.yaml'}: 'capture' is {capture.id!r}, as in {first.folder}. Two"
+        " captures cannot share an id. Give one of them another."
+    )
+
+
+def other_tires(found: dict[str, Capture]) -> dict[str, str]:
+    """Captures whose tire has another size than most captures under its id."""
+    tires: dict[str, list[Capture]] = {}
+    for capture in found.values():
+        if capture.tire is not None:
+            tires.setdefault(capture.tire.id, []).append(capture)
+    refused = {}
+    for captures in tires.values():
+        for name in ("size", "nominal_radius_mm", "tread_width_mm"):
+            values = [getattr(capture.tire, name) for capture in captures]
+            # Of equally many, the first captures' holds.
+            usual = Counter(values).most_common(1)[0][0]
+            for capture, value in zip(captures, values, strict=True):
+                if value != usual:
+                    assert capture.tire is not None
+                    other = captures[values.index(usual)]
+                    refused[capture.id] = (
+                        f"{capture.folder / 'capture.yaml'}: 'tire.{name}' is {value!r}, but"
+                        f" {usual!r} in {other.id} of the same tire {capture.tire.id!r}. Correct"
+                        " it, or give the other tire an id of its own."
+                    )
+    return refused
 
 
 def _names(root: Path, bad: Iterable[Path], found: dict[str, Capture]) -> dict[Path, str]:
@@ -101,18 +135,30 @@ def _names(root: Path, bad: Iterable[Path], found: dict[str, Capture]) -> dict[P
     for folder in bad:
         alone = ID.match(folder.name) and folder.name not in found and counts[folder.name] == 1
         path = folder.relative_to(root).as_posix()
-        names[folder] = folder.name if alone or folder == root else path
+        names[folder] = plain(folder.name if alone or folder == root else path)
     return names
 
 
-def _capture_folders(root: Path) -> list[Path]:
-    folders = []
-    for path, subfolders, files in os.walk(root):
-        if "capture.yaml" in files:
-            folders.append(Path(path))
+def _capture_folders(root: Path) -> tuple[list[Path], dict[Path, str]]:
+    """Folders that hold a capture.yaml, and what is wrong with others that look like captures."""
+    folders: list[Path] = []
+    bad: dict[Path, str] = {}
+
+    def unreadable(error: OSError) -> None:
+        folder = Path(error.filename)
+        bad[folder] = plain(f"{folder}: cannot be read ({error.strerror}). Mend that.")
+
+    for path, subfolders, files in os.walk(root, onerror=unreadable):
+        folder = Path(path)
+        if "capture.yaml" in files or "capture.yaml" in subfolders:
+            folders.append(folder)
             subfolders.clear()  # a capture holds images, no further captures
+        elif "frames.csv" in files and not folder.name.startswith("."):
+            bad[folder] = plain(
+                f"{folder / 'capture.yaml'}: is not there, though frames.csv is. Add it."
+            )
         subfolders.sort()
-    return sorted(folders)
+    return sorted(folders), bad
 
 
 def _selected(name: str, include: Iterable[str], exclude: Iterable[str]) -> bool:

@@ -63,9 +63,7 @@ def inventory(capture: Capture, digests: dict[str, str]) -> dict[str, Any]:
         content["mileage"] = {"value": capture.mileage, "unit": capture.mileage_unit}
         content["sections"] = len(capture.of_kind("laser"))
         content["views"] = [_view(capture, number) for number in capture.views]
-        content["missing"] = _missing_of_measurement(capture)
-    else:
-        content["missing"] = _missing_of_calibration(capture)
+    content["missing"] = missing(capture)
     content["damaged"] = [
         f"{frame.file}: its content differs from sha256 in frames.csv. Restore the image, or"
         " correct the digest if the change was meant."
@@ -74,6 +72,13 @@ def inventory(capture: Capture, digests: dict[str, str]) -> dict[str, Any]:
     ]
     content["files"] = {frame.file: digests[frame.file] for frame in capture.frames}
     return content
+
+
+def missing(capture: Capture) -> list[str]:
+    """Plain sentences about what a capture's frames leave out, and what follows from it."""
+    if capture.tire is not None:
+        return _missing_of_measurement(capture)
+    return _missing_of_calibration(capture)
 
 
 def _kind(frames: tuple[Frame, ...], digests: dict[str, str]) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """capture.yaml and frames.csv: read, checked field by field, never written."""
 
-import csv
-import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -9,13 +7,13 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import yaml
-
+from treadlight.archive.documents import read_rows, read_yaml
 from treadlight.errors import CaptureError
 
 FORMAT = "tread-capture/1"
 ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}\Z")
 MAX_SIDE_PX = 65_535
+MAX_PIXELS = 1 << 28
 MEASUREMENT_KINDS = ("laser", "led", "dark")
 CALIBRATION_KINDS = (
     "board",
@@ -36,7 +34,10 @@ _NEEDS = {
     "balls": ("led",),
     "card": ("led",),
 }
-_COLUMNS = ("file", "kind", "pose", "led", "encoder_deg", "exposure_s", "sha256")
+# A hundred turns; a larger angle is a slip of the unit or of the file.
+_MAX_ENCODER_DEG = 36_000.0
+_MAX_EXPOSURE_S = 1e5
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -150,6 +151,12 @@ def read_capture(folder: Path) -> Capture:
     CaptureError
         One sentence that names file, field and remedy.
     """
+    for name in ("capture.yaml", "frames.csv"):
+        if not _lies_inside(folder / name, folder):
+            raise CaptureError(
+                f"{folder / name}: is a link that leaves the capture's folder. Put the file itself"
+                " there."
+            )
     facts = _Facts(folder / "capture.yaml")
     facts.expect("format", FORMAT)
     kind = facts.choice("kind", ("measurement", "calibration"))
@@ -162,6 +169,9 @@ def read_capture(folder: Path) -> Capture:
     )
     if encoding.white_level <= encoding.black_level:
         raise facts.error("camera.white_level", encoding.white_level, "above black_level")
+    if encoding.size_px[0] * encoding.size_px[1] > MAX_PIXELS:
+        must = f"at most {MAX_PIXELS} pixels together"
+        raise facts.error("camera.size_px", list(encoding.size_px), must)
     kinds = MEASUREMENT_KINDS if kind == "measurement" else CALIBRATION_KINDS
     common: dict[str, Any] = {
         "folder": folder,
@@ -180,9 +190,21 @@ def read_capture(folder: Path) -> Capture:
     return Capture(**common, **_calibration_facts(facts, {f.kind for f in common["frames"]}))
 
 
+def radius_of_size(size: str) -> float | None:
+    """Radius (mm) of a new tire by its size designation, such as 215/70R16; None for others."""
+    found = re.search(r"(\d{3})/(\d{2,3})\s*[A-Z]{0,2}\s*(\d{2}(?:\.5)?)", size, re.ASCII)
+    if found is None:
+        return None
+    width, aspect, rim = map(float, found.groups())
+    return rim * 25.4 / 2 + width * aspect / 100
+
+
 def _measurement_facts(facts: "_Facts") -> dict[str, Any]:
     known = {"id", "size", "nominal_radius_mm", "tread_width_mm"}
     optional = {k: v for k, v in facts.mapping("tire").items() if k not in known}
+    for name, options in (("rolling_direction", ("+theta", "-theta")), ("outboard", ("+z", "-z"))):
+        if optional.get(name) is not None:
+            facts.choice(f"tire.{name}", options)
     tire = Tire(
         id=facts.identifier("tire.id"),
         size=facts.text("tire.size"),
@@ -226,15 +248,7 @@ class _Facts:
 
     def __init__(self, path: Path):
         self.path = path
-        try:
-            self.data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise CaptureError(f"{path}: cannot be read ({error}).") from None
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            reason = " ".join(str(error).split())
-            raise CaptureError(f"{path}: is not valid YAML ({reason}).") from None
-        if not isinstance(self.data, dict):
-            raise CaptureError(f"{path}: must be a mapping of names to values.")
+        self.data = read_yaml(path)
 
     def error(self, name: str, value: Any, must: str) -> CaptureError:
         if value is None:
@@ -314,15 +328,7 @@ class _Facts:
 
 def _read_frames(folder: Path, kinds: tuple[str, ...], leds: int) -> tuple[Frame, ...]:
     path = folder / "frames.csv"
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream, strict=True)
-            missing = [c for c in _COLUMNS[:2] if c not in (reader.fieldnames or ())]
-            if missing:
-                raise CaptureError(f"{path}: has no column '{missing[0]}'. Add it to the header.")
-            rows = [(reader.line_num, row) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CaptureError(f"{path}: cannot be read ({error}).") from None
+    rows = read_rows(path, needed=("file", "kind"))
     frames = tuple(_frame(_Row(path, number, row), folder, kinds, leds) for number, row in rows)
     if not frames:
         raise CaptureError(f"{path}: lists no frame. Add one row per image.")
@@ -333,34 +339,33 @@ def _read_frames(folder: Path, kinds: tuple[str, ...], leds: int) -> tuple[Frame
 class _Row:
     """One row of frames.csv; each error names the row and the field."""
 
-    def __init__(self, path: Path, line: int, cells: dict[str, Any]):
+    def __init__(self, path: Path, line: int, cells: dict[str, str]):
         self.path, self.line, self.cells = path, line, cells
 
     def error(self, name: str, problem: str) -> CaptureError:
         return CaptureError(f"{self.path}, row {self.line}: {name} {problem}")
 
     def text(self, name: str) -> str:
-        value = self.cells.get(name) or ""
-        return value.strip()
+        return self.cells.get(name, "")
 
     def integer(self, name: str) -> int | None:
         text = self.text(name)
         if not text:
             return None
-        if not re.fullmatch(r"\d{1,9}", text):
+        if not re.fullmatch(r"[0-9]{1,9}", text):
             raise self.error(name, f"is {text!r}. It must be a whole number from 0.")
         return int(text)
 
-    def number(self, name: str) -> float | None:
+    def number(self, name: str, low: float, high: float) -> float | None:
         text = self.text(name)
         if not text:
             return None
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        if not _NUMBER.fullmatch(text):
             raise self.error(name, f"is {text!r}. It must be a number, or empty if not known.")
+        value = float(text)
+        if not low <= value <= high:
+            must = f"a number from {low:g} to {high:g}, or empty if not known"
+            raise self.error(name, f"is {text!r}. It must be {must}.")
         return value
 
 
@@ -373,8 +378,8 @@ def _frame(row: _Row, folder: Path, kinds: tuple[str, ...], leds: int) -> Frame:
         kind=kind,
         pose=row.integer("pose"),
         led=row.integer("led"),
-        encoder_deg=row.number("encoder_deg"),
-        exposure_s=row.number("exposure_s"),
+        encoder_deg=row.number("encoder_deg", -_MAX_ENCODER_DEG, _MAX_ENCODER_DEG),
+        exposure_s=row.number("exposure_s", 0, _MAX_EXPOSURE_S),
         sha256=row.text("sha256").lower() or None,
     )
     for name in _NEEDS.get(kind, ()):
@@ -383,7 +388,7 @@ def _frame(row: _Row, folder: Path, kinds: tuple[str, ...], leds: int) -> Frame:
             raise row.error(name, f"is empty. A frame of kind '{kind}' needs it: {remedy}.")
     if frame.led is not None and frame.led >= leds:
         raise row.error("led", f"is {frame.led}. capture.yaml says leds: {leds}, counted from 0.")
-    if frame.exposure_s is not None and frame.exposure_s <= 0:
+    if frame.exposure_s is not None and frame.exposure_s < 1e-9:
         raise row.error("exposure_s", f"is {frame.exposure_s}. It must be above 0, or empty.")
     if frame.sha256 and not re.fullmatch(r"[0-9a-f]{64}", frame.sha256):
         raise row.error("sha256", f"is {frame.sha256!r}. It must be 64 hex digits, or empty.")
@@ -393,8 +398,11 @@ def _frame(row: _Row, folder: Path, kinds: tuple[str, ...], leds: int) -> Frame:
 def _safe_file(row: _Row, folder: Path) -> str:
     text = row.text("file")
     posix = PurePosixPath(text)
-    if not text or posix.is_absolute() or ".." in posix.parts or "\\" in text or "\0" in text:
+    # What cannot be printed cannot be named in a message, a log or a report either.
+    if not text or posix.is_absolute() or ".." in posix.parts or "\\" in text:
         raise row.error("file", f"is {text!r}. It must be a path below the capture's folder.")
+    if not text.isprintable():
+        raise row.error("file", f"is {text!r}. It must be printable: rename the image.")
     path = folder / text
     try:
         there = path.is_file()
@@ -402,13 +410,23 @@ def _safe_file(row: _Row, folder: Path) -> str:
         there = False
     if not there:
         raise row.error("file", f"is {text!r}, which is not there. Add the image or drop the row.")
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise row.error("file", f"is {text!r}, a link that leaves the capture's folder.")
+    if not _lies_inside(path, folder):
+        raise row.error(
+            "file",
+            f"is {text!r}, a link that leaves the capture's folder. Put the image itself there.",
+        )
     return text
 
 
+def _lies_inside(path: Path, folder: Path) -> bool:
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # a link that leads to itself
+        return False
+
+
 def _check_together(
-    path: Path, frames: tuple[Frame, ...], rows: list[tuple[int, dict[str, Any]]]
+    path: Path, frames: tuple[Frame, ...], rows: list[tuple[int, dict[str, str]]]
 ) -> None:
     seen: dict[tuple[Any, ...], int] = {}
     encoders: dict[int | None, tuple[float | None, int]] = {}
@@ -416,6 +434,8 @@ def _check_together(
         key: tuple[Any, ...] = (frame.kind, frame.pose, frame.led, frame.encoder_deg)
         if frame.kind in ("laser", "board", "board_laser"):
             key = (frame.kind, frame.pose)
+        if frame.kind in ("balls", "card"):
+            key = (frame.kind, frame.led)
         if frame.kind == "led":
             key = (frame.kind, frame.pose, frame.led)
             encoder, first = encoders.setdefault(frame.pose, (frame.encoder_deg, number))

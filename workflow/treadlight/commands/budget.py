@@ -106,10 +106,9 @@ class _Case:
         self.surface = store.open_store(products / "surface.zarr").load()
         self.laser = store.open_store(products / "laser.zarr").load()
         folders = {n: products / "photometric.zarr" / f"fov{n:02d}" for n in capture.views}
+        usable, _ = stage.usable_views(list(folders.values()))
         self.views = {
-            n: store.open_store(folder).load()
-            for n, folder in folders.items()
-            if store.refused_reason(folder) is None
+            n: store.open_store(path).load() for n, path in folders.items() if path in usable
         }
 
     def budget(self) -> "tuple[dict[str, Any], dict[str, Surface]]":
@@ -170,9 +169,9 @@ class _Case:
 
         name = f"fov{number:02d}"
         settings = common.recorded_settings(self.products / "photometric.zarr" / name)
-        view = photometry.read_view(
-            self.capture, number, rig, self.calibration / "illumination.zarr"
-        )
+        left_out = photometry.doubtful_frames(self.capture, number)
+        illumination = self.calibration / "illumination.zarr"
+        view = photometry.read_view(self.capture, number, rig, illumination, left_out)
         grid = photometry.grid_of(self.surface)
         r, r_std = (self.surface[n].to_numpy() for n in ("r", "r_std"))
         found = solve_view(view, grid, r, r_std, PhotometrySettings(**settings))

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight import store
     from treadlight.archive import read_capture
     from treadlight.calibrate.uncertainty import joint_covariance
-    from treadlight.commands.common import run_stage
+    from treadlight.commands.common import run_stage, with_warnings
 
     capture = read_capture(args.capture)
     inputs = [args.camera, args.laser_plane, args.axis, args.leds]
@@ -56,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
             "leds": leds["leds"],
             "covariance": {"order": order, "matrix": matrix},
         }
-        store.write_json(args.out, content)
+        # The camera's boards serve the other parts too: each sentence once.
+        said = [w for part in (camera, laser_plane, axis, leds) for w in part.get("warnings", ())]
+        store.write_json(args.out, with_warnings(content, list(dict.fromkeys(said))))
 
     return run_stage(
         args, inputs=inputs, outputs=[args.out], title="Calibration", source=capture.id, work=work

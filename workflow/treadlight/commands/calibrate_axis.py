@@ -27,7 +27,8 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.calibrate.axis import calibrate_axis
     from treadlight.calibrate.corners import find_corners
     from treadlight.calibrate.uncertainty import camera_jacobian
-    from treadlight.commands.common import progress, run_stage
+    from treadlight.commands.common import progress, read_or_warn, run_stage, with_warnings
+    from treadlight.errors import CalibrationError
     from treadlight.images import FrameReader
 
     capture = read_capture(args.capture)
@@ -41,8 +42,10 @@ def run(args: argparse.Namespace) -> int:
             return
         reader = FrameReader(capture)
         corners, angles = [], []
+        warnings: list[str] = []
         for frame in progress(frames, "axis boards"):
-            found = find_corners(reader.read(frame).intensity, board.inner_corners)
+            light = read_or_warn(reader, frame, warnings)
+            found = None if light is None else find_corners(light.intensity, board.inner_corners)
             if found is not None:
                 corners.append(found)
                 angles.append(np.radians(frame.encoder_deg or 0.0))
@@ -55,9 +58,16 @@ def run(args: argparse.Namespace) -> int:
             axis = calibrate(camera).axis
             return np.concatenate([axis.direction, axis.point])
 
-        result = calibrate(camera)
-        jacobian = camera_jacobian(camera, covariance, parameters)
-        store.write_json(args.out, _content(result, jacobian))
+        try:
+            with np.errstate(invalid="ignore"):
+                result = calibrate(camera)
+                jacobian = camera_jacobian(camera, covariance, parameters)
+        except np.linalg.LinAlgError:
+            raise CalibrationError(
+                "axis_board frames: the boards do not turn about one axis by the encoder's angles."
+                " Check that the board turns with the hub, and encoder_deg."
+            ) from None
+        store.write_json(args.out, with_warnings(_content(result, jacobian), warnings))
 
     return run_stage(
         args,

@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.archive import read_capture
     from treadlight.calibrate import camera as core
     from treadlight.calibrate.corners import find_corners, object_points
-    from treadlight.commands.common import progress, run_stage
+    from treadlight.commands.common import progress, read_or_warn, run_stage, with_warnings
     from treadlight.errors import CalibrationError
     from treadlight.images import FrameReader
 
@@ -41,11 +41,22 @@ def run(args: argparse.Namespace) -> int:
         if capture.axis_board:
             kinds["axis_board"] = capture.axis_board
         frames = [(f, shown) for kind, shown in kinds.items() for f in capture.of_kind(kind)]
-        pairs = []
+        pairs, bare = [], []
+        warnings: list[str] = []
         for frame, shown in progress(frames, "boards"):
-            corners = find_corners(reader.read(frame).intensity, shown.inner_corners)
-            if corners is not None:
+            light = read_or_warn(reader, frame, warnings)
+            if light is None:
+                continue
+            corners = find_corners(light.intensity, shown.inner_corners)
+            if corners is None:
+                bare.append(frame.file)
+            else:
                 pairs.append((corners, object_points(shown.inner_corners, shown.square_mm)))
+        if bare:
+            warnings.append(
+                f"{len(bare)} of {len(frames)} board frames show no whole checkerboard and are left"
+                f" out: {', '.join(bare)}."
+            )
         found = core.calibrate_camera(pairs, capture.encoding.size_px)
         plane = None
         board = object_points(capture.board.inner_corners, capture.board.square_mm)
@@ -57,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
                     " inner corners. Take the reference board again, or drop its row."
                 )
             plane = core.board_pose(found.camera, corners, board).plane
-        store.write_json(args.out, _content(found, plane))
+        store.write_json(args.out, with_warnings(_content(found, plane), warnings))
 
     return run_stage(
         args,

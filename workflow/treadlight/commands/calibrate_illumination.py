@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight import store
     from treadlight.archive import read_capture
     from treadlight.calibrate import beams as core
+    from treadlight.calibrate.illumination import MIN_BLOCKS
     from treadlight.commands.common import run_stage
 
     capture = read_capture(args.capture)
@@ -45,17 +46,29 @@ def run(args: argparse.Namespace) -> int:
     def work() -> None:
         rig = store.read_rig(args.calibration)
         positions = {led.number: led.position for led in rig.leds}
-        samples = samples_of(capture, "card", rig, positions)
+        warnings: list[str] = []
+        samples = samples_of(capture, "card", rig, positions, warnings)
+        for number in [k for k, s in samples.items() if len(s.values) < MIN_BLOCKS]:
+            del samples[number]
+            warnings.append(
+                f"card frame of LED {number}: shows too little of the card, unclipped and lit. Its"
+                " light is taken as even; take the frame again."
+            )
         light = None
         if samples and rig.reference_plane is not None:
             places = np.stack([positions[number] for number in samples])
             light = core.solve_beams([*samples.values()], places, rig.reference_plane, rig.camera)
             if not np.isfinite(light.corner_std):
-                print(
-                    "Vignetting: left in the beams, too few LEDs to tell it from them.",
-                    file=sys.stderr,
+                warnings.append(
+                    f"The lens's vignetting cannot be told from the LEDs' beams by {len(samples)}"
+                    " card frames and stays in the beams. Take the card under more LEDs, or over"
+                    " more of the image."
                 )
+        for warning in warnings:
+            print(f"Warning: {warning}", file=sys.stderr)
         dataset = _dataset(rig, samples, light)
+        if warnings:
+            dataset = dataset.assign_attrs(warnings=warnings)
         store.write_store(store.store_folder(args.out), dataset, title=title, source=capture.id)
 
     return run_stage(
@@ -69,13 +82,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def samples_of(
-    capture: "Capture", kind: str, rig: "Rig", positions: "dict[int, np.ndarray]"
+    capture: "Capture",
+    kind: str,
+    rig: "Rig",
+    positions: "dict[int, np.ndarray]",
+    warnings: list[str],
 ) -> "dict[int, PlaneSamples]":
-    """What frames of a kind show of each LED whose position is known, by LED number."""
+    """What frames of a kind show of each LED whose position is known, by LED number.
+
+    Damaged frames are left out and told among the warnings.
+    """
     import numpy as np
 
     from treadlight.calibrate.illumination import CardFrame, plane_samples
-    from treadlight.commands.common import progress
+    from treadlight.commands.common import progress, read_or_warn
     from treadlight.images import FrameReader
 
     if rig.reference_plane is None:
@@ -84,7 +104,9 @@ def samples_of(
     for frame in progress(capture.of_kind(kind), kind):
         if frame.led is None or frame.led not in positions:
             continue
-        light = reader.read(frame)
+        light = read_or_warn(reader, frame, warnings)
+        if light is None:
+            continue
         exposed = light.intensity / np.float32(frame.exposure_s or 1.0)
         samples[frame.led] = plane_samples(
             CardFrame(frame.led, exposed, light.saturated),

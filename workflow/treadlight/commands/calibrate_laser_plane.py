@@ -28,7 +28,8 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.calibrate import laser_plane as core
     from treadlight.calibrate.corners import find_corners, object_points
     from treadlight.calibrate.uncertainty import camera_jacobian
-    from treadlight.commands.common import progress, run_stage
+    from treadlight.commands.common import progress, read_or_warn, run_stage, with_warnings
+    from treadlight.errors import CalibrationError
     from treadlight.images import FrameReader
 
     capture = read_capture(args.capture)
@@ -43,13 +44,16 @@ def run(args: argparse.Namespace) -> int:
         inner, square = capture.board.inner_corners, capture.board.square_mm
         board = object_points(inner, square)
         observed = []
+        warnings: list[str] = []
         for frame in progress(capture.of_kind("board"), "laser lines"):
             if frame.pose not in laser_frames:
                 continue
-            corners = find_corners(reader.read(frame).intensity, inner)
-            if corners is None:
+            light = read_or_warn(reader, frame, warnings)
+            line = read_or_warn(reader, laser_frames[frame.pose], warnings)
+            corners = None if light is None else find_corners(light.intensity, inner)
+            if corners is None or line is None:
                 continue
-            intensity = reader.read(laser_frames[frame.pose]).intensity
+            intensity = line.intensity
             pose = boards.board_pose(rig.camera, corners, board)
             pixels = core.board_line_points(
                 intensity, pose, rig.camera, inner, square, capture.laser_scan
@@ -67,9 +71,15 @@ def run(args: argparse.Namespace) -> int:
             plane = core.fit_laser_plane(points_of(camera)).plane
             return np.array([*plane.normal, plane.offset])
 
-        found = core.fit_laser_plane(points_of(rig.camera))
-        jacobian = camera_jacobian(rig.camera, np.asarray(rig.covariance), coefficients)
-        store.write_json(args.out, _content(found, jacobian))
+        try:
+            found = core.fit_laser_plane(points_of(rig.camera))
+            jacobian = camera_jacobian(rig.camera, np.asarray(rig.covariance), coefficients)
+            content = _content(found, jacobian)
+        except CalibrationError as error:
+            # Views under the LEDs can do without it.
+            content = {"laser_plane": None}
+            warnings.append(f"There is no laser plane. {error}")
+        store.write_json(args.out, with_warnings(content, warnings))
 
     return run_stage(
         args,

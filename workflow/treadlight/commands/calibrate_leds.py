@@ -25,17 +25,14 @@ def run(args: argparse.Namespace) -> int:
     """Find balls and highlights, place the LEDs, publish."""
     from treadlight import store
     from treadlight.archive import read_capture
-    from treadlight.calibrate.balls import find_balls
-    from treadlight.calibrate.leds import calibrate_leds
-    from treadlight.commands.common import run_stage
-    from treadlight.images import FrameReader
+    from treadlight.commands.common import run_stage, with_warnings
+    from treadlight.errors import CalibrationError
 
     capture = read_capture(args.capture)
 
     def work() -> None:
         rig = store.read_rig(args.camera)
-        frames, balls = capture.of_kind("balls"), capture.balls
-        if not frames or balls is None:
+        if not capture.of_kind("balls") or capture.balls is None:
             store.write_json(args.out, {"leds": None})
             return
         if rig.reference_plane is None:
@@ -45,28 +42,14 @@ def run(args: argparse.Namespace) -> int:
             )
             store.write_json(args.out, {"leds": None})
             return
-        frames = tuple(sorted(frames, key=lambda frame: frame.led or 0))
-        reader = FrameReader(capture)
-        found = find_balls(
-            _Frames(reader, frames),
-            rig.camera,
-            rig.reference_plane,
-            balls.count,
-            balls.diameter_mm,
-            balls.centre_height_mm,
-        )
-        if len(found.centres) < balls.count:
-            print(f"LEDs: {len(found.centres)} of {balls.count} balls found.", file=sys.stderr)
-        numbers = [frame.led or 0 for frame in frames]
-        fit = calibrate_leds(rig.camera, found, numbers)
-        _say_rejected(fit, numbers)
-        intensities = _intensities(capture, rig, fit.leds)
-        content = {
-            "leds": _content(fit.leds, intensities),
-            "balls": [{"ball": k, "centre": centre} for k, centre in enumerate(fit.centres)],
-            "rays": _rays(fit, found.highlights, numbers),
-        }
-        store.write_json(args.out, content)
+        warnings: list[str] = []
+        try:
+            content = _calibrated(capture, rig, warnings)
+        except CalibrationError as error:
+            # The laser's sections can do without LEDs.
+            content = {"leds": None}
+            warnings.append(f"There are no LED positions. {error}")
+        store.write_json(args.out, with_warnings(content, warnings))
 
     return run_stage(
         args,
@@ -76,6 +59,85 @@ def run(args: argparse.Namespace) -> int:
         source=capture.id,
         work=work,
     )
+
+
+def _calibrated(capture, rig, warnings: list[str]) -> dict:
+    """Content of leds.json.
+
+    Raises
+    ------
+    CalibrationError
+        What the frames show does not place the LEDs.
+    """
+    from treadlight.calibrate.balls import find_balls
+    from treadlight.calibrate.leds import calibrate_leds
+    from treadlight.commands.common import read_or_warn
+    from treadlight.errors import CalibrationError
+    from treadlight.images import FrameReader, doubts
+
+    reader, balls = FrameReader(capture), capture.balls
+    looks = {
+        frame.file: doubts.look_at(light)
+        for frame in capture.of_kind("balls")
+        if (light := read_or_warn(reader, frame, warnings)) is not None
+    }
+    odd = doubts.unlit_frames(looks)
+    warnings += odd.values()
+    frames = [f for f in capture.of_kind("balls") if f.file in looks and f.file not in odd]
+    frames.sort(key=lambda frame: frame.led or 0)
+    if not frames:
+        raise CalibrationError("No frame of kind 'balls' can be used. Take them again.")
+    found = find_balls(
+        _Frames(reader, frames),
+        rig.camera,
+        rig.reference_plane,
+        balls.count,
+        balls.diameter_mm,
+        balls.centre_height_mm,
+    )
+    if len(found.centres) < balls.count:
+        warnings.append(
+            f"balls frames: {len(found.centres)} of {balls.count} balls were found. Check that all"
+            " lie in the field of view, or correct balls.count."
+        )
+    numbers = [frame.led or 0 for frame in frames]
+    fit = calibrate_leds(rig.camera, found, numbers)
+    _say_rejected(fit, numbers, warnings)
+    swapped = _swapped(capture, reader, rig, fit.leds)
+    if swapped:
+        raise CalibrationError(
+            f"balls and card frames disagree on LEDs {' and '.join(map(str, swapped))}, as if"
+            " exchanged. Correct led of these rows in frames.csv."
+        )
+    intensities = _intensities(capture, rig, fit.leds, warnings)
+    return {
+        "leds": _content(fit.leds, intensities),
+        "balls": [{"ball": k, "centre": centre} for k, centre in enumerate(fit.centres)],
+        "rays": _rays(fit, found.highlights, numbers),
+    }
+
+
+def _swapped(capture, reader, rig, leds) -> list[int]:
+    """LEDs whose light on the card falls as another's would, by their positions."""
+    import numpy as np
+
+    from treadlight.commands.common import read_or_warn
+    from treadlight.images import doubts
+
+    seen = {
+        frame.led: doubts.light_pattern(light.intensity)
+        for frame in capture.of_kind("card")
+        if (light := read_or_warn(reader, frame, [])) is not None
+    }
+    u, v = doubts.pattern_centres(rig.camera.size_px)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    points = rig.reference_plane.intersect(rig.camera.rays(pixels))
+    told = {}
+    for led in leds:
+        ray = led.position - points
+        light = np.abs(ray @ rig.reference_plane.normal) / np.linalg.norm(ray, axis=1) ** 3
+        told[led.number] = np.log(light).reshape(len(v), len(u))
+    return sorted({led for pair in doubts.swapped_leds(told, seen) for led in pair})
 
 
 class _Frames(Sequence):
@@ -91,7 +153,7 @@ class _Frames(Sequence):
         return self.reader.read(self.frames[index])
 
 
-def _intensities(capture, rig, leds):
+def _intensities(capture, rig, leds, warnings):
     """Relative intensity of each LED: from the card, or from what the balls lie on."""
     import numpy as np
 
@@ -103,7 +165,7 @@ def _intensities(capture, rig, leds):
     card = {frame.led for frame in capture.of_kind("card")}
     # One kind for all: card and ground differ in albedo.
     kind = "card" if set(positions) <= card else "balls"
-    found = samples_of(capture, kind, rig, positions)
+    found = samples_of(capture, kind, rig, positions, warnings)
     samples = [found[number] for number in positions]
     if kind == "balls" or min(len(s.values) for s in samples) < MIN_BLOCKS:
         return relative_intensities(samples)
@@ -113,7 +175,7 @@ def _intensities(capture, rig, leds):
     return intensities / intensities.mean()
 
 
-def _say_rejected(fit, numbers) -> None:
+def _say_rejected(fit, numbers, warnings: list[str]) -> None:
     import numpy as np
 
     rejected = [
@@ -125,7 +187,8 @@ def _say_rejected(fit, numbers) -> None:
         print(f"LEDs: rays that disagree, rejected: {', '.join(rejected)}.", file=sys.stderr)
     missing = sorted(set(numbers) - {led.number for led in fit.leds})
     if missing:
-        print(f"LEDs: left out, too few balls show them: {missing}.", file=sys.stderr)
+        listed = ", ".join(map(str, missing))
+        warnings.append(f"LEDs {listed} are left out: too few balls show their highlight.")
 
 
 def _content(leds, intensities) -> list[dict]:

@@ -9,13 +9,28 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import treadlight
 from treadlight import store
-from treadlight.errors import CalibrationError, CaptureError, ConfigError
+from treadlight.errors import CaptureError, ConfigError, StoreError, sentence_of
+
+if TYPE_CHECKING:
+    from treadlight.archive import Frame
+    from treadlight.images import FrameReader, LinearFrame
 
 T = TypeVar("T")
+# The machine's trouble (disk, memory, threads) and damaged products: mended, the same command
+# makes the product. All else is the data's, foreseen or not, and must not stop other captures.
+_NOT_OF_THE_DATA = (
+    OSError,
+    MemoryError,
+    ImportError,
+    SystemError,
+    RuntimeError,
+    ConfigError,
+    StoreError,
+)
 _VERSIONED = ("numpy", "scipy", "opencv-python-headless", "zarr", "xarray", "open3d", "numba")
 
 
@@ -62,8 +77,12 @@ def run_stage(
     if reason is None:
         try:
             work()
-        except (CaptureError, CalibrationError) as error:
-            reason = str(error)
+        except _NOT_OF_THE_DATA:
+            raise
+        except Exception as error:
+            if "nsufficient memory" in str(error):  # as OpenCV says it
+                raise MemoryError from error
+            reason = sentence_of(error)
     if reason is not None:
         print(f"Refused: {reason}", file=sys.stderr)
         for output in outputs:
@@ -86,8 +105,14 @@ def write_provenance(
         "versions": {name: importlib.metadata.version(name) for name in _VERSIONED},
     }
     for output in outputs:
-        folder = store.store_folder(output)
-        store.write_json(folder.with_name(folder.name + ".provenance.json"), content)
+        whole = {"product": _short(output), "product_digest": product_digest(output)} | content
+        path = store.provenance_of(store.store_folder(output))
+        store.write_json(path, whole | {"digest": provenance_digest(whole)})
+
+
+def provenance_digest(content: dict[str, Any]) -> str:
+    """Digest of a provenance file's content but for the digest itself."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def recorded_settings(product: Path) -> dict[str, Any]:
@@ -110,6 +135,24 @@ def product_digest(path: Path) -> str:
         metadata = store.read_json(folder / store.ROOT_METADATA)
         return str(metadata["attributes"]["content_digest"])
     return hashlib.sha256(folder.read_bytes()).hexdigest()
+
+
+def read_or_warn(
+    reader: "FrameReader", frame: "Frame", warnings: list[str]
+) -> "LinearFrame | None":
+    """The frame as light; None, and a sentence among the warnings, where it is damaged."""
+    try:
+        return reader.read(frame)
+    except CaptureError as error:
+        warnings.append(f"{error} It is left out.")
+        return None
+
+
+def with_warnings(content: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
+    """A JSON product's content with its warnings, where there are any."""
+    for warning in warnings:
+        print(f"Warning: {warning}", file=sys.stderr)
+    return {**content, "warnings": warnings} if warnings else content
 
 
 def progress(items: Iterable[T], label: str, every_s: float = 5.0) -> Iterator[T]:

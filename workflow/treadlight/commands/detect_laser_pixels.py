@@ -16,9 +16,16 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from treadlight.archive import Capture, Frame
+    from treadlight.laser.detection import Candidates, LineModel
 
 # The line's shape is learnt from so many frames, spread over the capture.
 _LEARNT_FRAMES = 12
+# A lit section is seen in more rows than this share; two lines compete in more than that.
+_SEEN_SHARE = 0.05
+_TWICE_SHARE = 0.5
+_RIVAL_STRENGTH = 0.5
+_APART_SIGMAS = 4.0
+_TOLD = 5
 _FIELDS = {
     "u": ("pixel", "sub-pixel position across the line"),
     "u_std": ("pixel", "standard deviation of u"),
@@ -50,8 +57,13 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def detect_capture(capture: "Capture", threads: int) -> "xr.Dataset":
-    """Candidates of every section, in order of encoder; one frame per thread is held."""
+def detect_capture(capture: "Capture", threads: int, tell_all: bool = False) -> "xr.Dataset":
+    """Candidates of every section, in order of encoder; one frame per thread is held.
+
+    Its attribute `warnings`, where there is any, tells which sections are left out and why; of
+    many the first ones, or all.
+    """
+    from treadlight.errors import NoLineError
     from treadlight.images import FrameReader
     from treadlight.laser import detect_section, learn_line_model, select_path
 
@@ -67,7 +79,13 @@ def detect_capture(capture: "Capture", threads: int) -> "xr.Dataset":
         return image.intensity, image.saturated
 
     step = -(-len(frames) // _LEARNT_FRAMES)
-    model = learn_line_model([read(frame) for frame in frames[step // 2 :: step]])
+    try:
+        model = learn_line_model([read(frame) for frame in frames[step // 2 :: step]])
+    except NoLineError as error:
+        if not capture.of_kind("led"):
+            raise
+        # The views under the LEDs still give the shape.
+        return _dataset(capture, [], [], []).assign_attrs(warnings=[str(error)])
 
     def detect(frame: "Frame") -> "tuple[Any, np.ndarray]":
         found = detect_section(*read(frame), model)
@@ -76,7 +94,41 @@ def detect_capture(capture: "Capture", threads: int) -> "xr.Dataset":
     with ThreadPoolExecutor(max(1, threads)) as pool:
         results = list(common.progress(pool.map(detect, frames), "Sections"))
     found = [result for result, _ in results]
-    return _dataset(capture, frames, found, [path for _, path in results], model)
+    paths = [path for _, path in results]
+    warnings = []
+    for frame, candidates, path in zip(frames, found, paths, strict=True):
+        if reason := doubt_of(candidates, path, model):
+            path[:] = -1
+            warnings.append(f"{frame.file}: {reason}")
+    dataset = _dataset(capture, frames, found, paths, model)
+    if not warnings:
+        return dataset
+    return dataset.assign_attrs(warnings=warnings if tell_all else _shortened(warnings))
+
+
+def doubt_of(candidates: "Candidates", path: "np.ndarray", model: "LineModel") -> str | None:
+    """Why a frame's section is left out, or None: it shows no line, or two."""
+    import numpy as np
+
+    strength, u = candidates.strength, candidates.u
+    seen = np.isfinite(strength[:, 0])
+    if np.mean(seen) < _SEEN_SHARE:
+        return "shows no laser line, as if the laser was off. Its section is left out."
+    with np.errstate(invalid="ignore"):
+        rival = strength[:, 1] > _RIVAL_STRENGTH * strength[:, 0]
+        apart = np.abs(u[:, 1] - u[:, 0]) > _APART_SIGMAS * model.sigma_px
+    if np.mean((rival & apart)[seen]) > _TWICE_SHARE:
+        return (
+            "shows the laser line twice, as by a mirror or a double exposure. Its section is"
+            " left out."
+        )
+    return None
+
+
+def _shortened(warnings: list[str]) -> list[str]:
+    """The first few, and how many more there are."""
+    more = len(warnings) - _TOLD
+    return warnings if more <= 1 else [*warnings[:_TOLD], f"The same of {more} more laser frames."]
 
 
 def _dataset(

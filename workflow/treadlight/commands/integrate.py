@@ -72,27 +72,52 @@ def integrate_products(
     first, grid = first_surface(surface)
     sections = laser_sections(laser)
     capture = read_capture(args.capture)
-    warnings = list(args.warning)
-    usable = []
-    for view in args.views:
-        reason = store.refused_reason(view)
-        if reason:
-            warnings.append(f"{store.store_folder(view).name} is left out: {reason}")
-        else:
-            number = int(store.store_folder(view).name.removeprefix("fov"))
-            usable.append((view, camera_centre(capture, number, rig)))
+    warnings = [*args.warning, *store.read_json(args.calibration).get("warnings", ())]
+    warnings += laser.attrs.get("warnings", ())
+    usable, said = usable_views(args.views)
+    warnings += said
     if not np.isfinite(sections.r).any():
         warnings.append(
             "There are no laser points: the profile's level and large shape are not measured."
         )
     if not usable:
         warnings.append("There are no normals: the profile comes from the laser alone.")
-    views = (view_normals(store.open_store(path).load(), camera) for path, camera in usable)
+    numbers = [int(store.store_folder(path).name.removeprefix("fov")) for path in usable]
+    views = (
+        view_normals(store.open_store(path).load(), camera_centre(capture, number, rig))
+        for path, number in zip(usable, numbers, strict=True)
+    )
     profile = integrate.integrate_capture(views, sections, first, grid, settings.held_out_every)
     regions = tread.find_regions(profile.r, grid)
     closure = laser.attrs.get("closure_mm")
     report = integrate.quality_report(profile, regions, rig, closure, warnings)
     return _dataset(profile, surface, regions, grid), report
+
+
+def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
+    """Views that are not refused and whose LEDs are those of the others, and warnings."""
+    from treadlight import store
+    from treadlight.images import doubts
+
+    usable, warnings, patterns, misfit = [], [], {}, {}
+    for path in views:
+        name = store.store_folder(path).name
+        if reason := store.refused_reason(path):
+            warnings.append(f"{name} is left out: {reason}")
+            continue
+        view = store.open_store(path)
+        warnings += [f"{name}: {sentence}" for sentence in view.attrs.get("warnings", ())]
+        usable.append(path)
+        numbers = [int(number) for number in view["led"].values]
+        patterns[path] = dict(zip(numbers, view["light_pattern"].values, strict=True))
+        misfit[path] = float(view["residual"].median(skipna=True))
+    for path, leds in doubts.views_with_swapped_leds(patterns, misfit).items():
+        usable.remove(path)
+        warnings.append(
+            f"{store.store_folder(path).name} is left out: its frames of LEDs"
+            f" {' and '.join(map(str, leds))} look exchanged. Correct led in frames.csv."
+        )
+    return usable, warnings
 
 
 def first_surface(surface: "xr.Dataset") -> "tuple[integrate.FirstSurface, CylinderGrid]":

@@ -77,13 +77,13 @@ def _load(path: Path) -> "dict[str, np.ndarray]":
 
     import numpy as np
 
-    from treadlight.errors import CaptureError
+    from treadlight.errors import ConfigError
 
     try:
         with np.load(path) as data:
             return {name: data[name] for name in data.files}
     except (OSError, ValueError, AttributeError, zipfile.BadZipFile) as error:
-        raise CaptureError(f"{path}: is no readable .npz file ({error}).") from None
+        raise ConfigError(f"{path}: is no readable .npz file ({error}).") from None
 
 
 def _shaped(path: Path, stack: "dict[str, np.ndarray]", name: str, *shapes: tuple) -> "np.ndarray":
@@ -91,27 +91,27 @@ def _shaped(path: Path, stack: "dict[str, np.ndarray]", name: str, *shapes: tupl
 
     Raises
     ------
-    CaptureError
+    ConfigError
         It is missing or has another shape.
     """
-    from treadlight.errors import CaptureError
+    from treadlight.errors import ConfigError
 
     if name not in stack:
-        raise CaptureError(f"{path}: '{name}' is missing. See treadlight normals --help.")
+        raise ConfigError(f"{path}: '{name}' is missing. See treadlight normals --help.")
     if stack[name].shape not in shapes:
         wanted = " or ".join(str(shape) for shape in shapes)
-        raise CaptureError(f"{path}: '{name}' is {stack[name].shape}. It must be {wanted}.")
+        raise ConfigError(f"{path}: '{name}' is {stack[name].shape}. It must be {wanted}.")
     return stack[name]
 
 
 def _mask(path: Path, stack: "dict[str, np.ndarray]") -> "np.ndarray":
     import numpy as np
 
-    from treadlight.errors import CaptureError
+    from treadlight.errors import ConfigError
 
     images = stack.get("images")
     if images is None or images.ndim not in (3, 4) or (images.ndim == 4 and images.shape[3] != 3):
-        raise CaptureError(f"{path}: 'images' must be (n, h, w) or (n, h, w, 3).")
+        raise ConfigError(f"{path}: 'images' must be (n, h, w) or (n, h, w, 3).")
     size = images.shape[1:3]
     if "mask" not in stack:
         return np.ones(size, bool)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 from treadlight.commands import common
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     import xarray as xr
 
@@ -57,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         rig = store.read_rig(args.calibration)
-        view = read_view(capture, args.view, rig, args.illumination)
+        left_out = doubtful_frames(capture, args.view)
+        view = read_view(capture, args.view, rig, args.illumination, left_out)
         surface = store.open_store(args.surface)
         grid = grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
@@ -70,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
             part["r_std"].to_numpy(),
             settings,
         )
-        store.write_store(out, dataset_of(found), title=title, source=capture.id)
+        dataset = _with_light(dataset_of(found), view, list(left_out.values()))
+        store.write_store(out, dataset, title=title, source=capture.id)
 
     return common.run_stage(
         args,
@@ -93,15 +97,38 @@ def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
     )
 
 
-def read_view(capture: "Capture", number: int, rig: "Rig", illumination: Path) -> "View":
+def doubtful_frames(capture: "Capture", number: int) -> dict[str, str]:
+    """Frames of a view that are damaged, dark, blinded or moved: why, by file."""
+    from treadlight.errors import CaptureError
+    from treadlight.images import FrameReader, doubts
+
+    reader = FrameReader(capture)
+    found, looks = {}, {}
+    for frame in capture.view(number):
+        try:
+            looks[frame.file] = doubts.look_at(reader.read(frame))
+        except CaptureError as error:
+            found[frame.file] = str(error)
+    return found | doubts.doubts_of_view(looks, capture.laser_scan)
+
+
+def read_view(
+    capture: "Capture",
+    number: int,
+    rig: "Rig",
+    illumination: Path,
+    left_out: "Mapping[str, str] | None" = None,
+) -> "View":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
+
+    `left_out` names the files of frames that do not count, and why.
 
     Raises
     ------
     CalibrationError
         The rotation axis or the LEDs are not calibrated.
     CaptureError
-        There is no such view, too few of its LEDs are calibrated, or a frame is unusable.
+        There is no such view, too few of its frames can be used, or one is damaged.
     """
     import math
 
@@ -127,11 +154,13 @@ def read_view(capture: "Capture", number: int, rig: "Rig", illumination: Path) -
         )
     light = store.read_illumination(illumination, rig)
     index = {led.number: k for k, led in enumerate(light.leds)}
-    frames = [f for f in capture.view(number) if f.led in index]
+    left_out = left_out or {}
+    frames = [f for f in capture.view(number) if f.led in index and f.file not in left_out]
     if len(frames) < MIN_LEDS:
         raise CaptureError(
             f"{capture.id}, view {number}: {len(frames)} of its LED frames have a calibrated LED."
             f" Specular photometric stereo needs {MIN_LEDS}; add frames or calibrate more LEDs."
+            + "".join(f" {sentence}" for sentence in left_out.values())
         )
     intensity, noise = read_frames(capture, frames)
     return View(
@@ -162,6 +191,22 @@ def read_frames(capture: "Capture", frames: "list[Frame]") -> tuple["np.ndarray"
         linear = reader.read(frame)
         intensity[m] = np.where(linear.saturated, np.nan, linear.intensity / np.float32(exposure))
     return intensity, np.array([dark_noise(frame) for frame in intensity])
+
+
+def _with_light(dataset: "xr.Dataset", view: "View", warnings: list[str]) -> "xr.Dataset":
+    """Add what the views of a capture are compared by, and what was left out of this one."""
+    import numpy as np
+
+    from treadlight import store
+    from treadlight.images import doubts
+
+    numbers = np.array([view.light.leds[k].number for k in view.leds])
+    patterns = np.stack([doubts.light_pattern(frame) for frame in view.intensity])
+    dims, text = ("led", "row", "column"), "logarithm of the light in blocks of the image"
+    dataset = dataset.assign(
+        {"light_pattern": store.variable(dims, patterns, "1", text)}
+    ).assign_coords({"led": store.variable(("led",), numbers, "1", "LED number")})
+    return dataset.assign_attrs(warnings=warnings) if warnings else dataset
 
 
 def dataset_of(found: "ViewNormals") -> "xr.Dataset":

@@ -16,10 +16,14 @@ if TYPE_CHECKING:
 
     from treadlight.archive import Capture
     from treadlight.cylinder import CylinderSettings, Sections, Surface
-    from treadlight.geometry import CylinderGrid, Rig
+    from treadlight.geometry import Axis, CylinderGrid, Rig
 
 # Where the line's width is not known, it is taken as this many pixels.
 _LINE_SIGMA_PX = 2.0
+# Laser sections this share off the nominal radius are odd, or of another tire: a tread is no
+# deeper, and a size's radius is known better.
+_ODD_RADIUS = 0.035
+_WRONG_RADIUS = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,6 +85,7 @@ def register(
         )
     assert capture.tire is not None
     radius = capture.tire.nominal_radius_mm
+    warnings = [*points.attrs.get("warnings", ()), *_radius_warnings(points, rig.axis, capture)]
     sections = cylinder.register_sections(
         points.point.values,
         points.deviation.values,
@@ -101,7 +106,40 @@ def register(
     line_mm = points.attrs.get("line_sigma_px", _LINE_SIGMA_PX) * pixel
     surface = cylinder.lay_surface(sections, views, grid, line_mm)
     shared = cylinder.shared_rows(sections, line_mm)
-    return _laser_dataset(points, sections, shared), _surface_dataset(surface, grid, capture)
+    laser = _laser_dataset(points, sections, shared)
+    if warnings:
+        laser = laser.assign_attrs(warnings=warnings)
+    return laser, _surface_dataset(surface, grid, capture)
+
+
+def _radius_warnings(points: "xr.Dataset", axis: "Axis", capture: "Capture") -> list[str]:
+    """Hold the radius at which the laser's line lies against the nominal one.
+
+    Raises
+    ------
+    CaptureError
+        They are too far apart for one tire.
+    """
+    import numpy as np
+
+    from treadlight.errors import CaptureError
+
+    assert capture.tire is not None
+    path = points.path.values
+    chosen = np.take_along_axis(points.point.values, np.maximum(path, 0)[..., None, None], 2)
+    _, _, r = axis.to_tire(chosen[:, :, 0], points.encoder.values[:, None])
+    r = r[(path >= 0) & np.isfinite(r)]
+    nominal = capture.tire.nominal_radius_mm
+    if not len(r):
+        return []
+    measured = float(np.median(r))
+    said = (
+        f"{capture.folder / 'capture.yaml'}: tire.nominal_radius_mm is {nominal:g}, but the laser"
+        f" sections lie at {measured:.1f} mm. Correct it, or the calibration of the axis."
+    )
+    if abs(measured - nominal) > _WRONG_RADIUS * nominal:
+        raise CaptureError(said)
+    return [said] if abs(measured - nominal) > _ODD_RADIUS * nominal else []
 
 
 def _laser_dataset(points: "xr.Dataset", sections: "Sections", shared: float) -> "xr.Dataset":

@@ -25,11 +25,14 @@ class Outcome:
         was read.
     missing : list of str
         Products, relative to the results, that are not there.
+    warnings : dict of str to list of str
+        Sentences by id of a capture.
     """
 
     state: dict[str, Any]
     refused: dict[str, str]
     missing: list[str]
+    warnings: dict[str, list[str]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +66,21 @@ def read_outcome(results: Path, state: Path) -> Outcome:
             missing.append(product)
         elif reason := store.refused_reason(path):
             refused.setdefault(owner, reason)
-    return Outcome(content, refused, missing)
+    return Outcome(content, refused, missing, _warnings(results, content))
+
+
+def _warnings(results: Path, state: dict[str, Any]) -> dict[str, list[str]]:
+    """What was told of each capture when the archive was read, and by its stages."""
+    from treadlight import store
+
+    found = {}
+    for names in state["tires"].values():
+        for name in names:
+            path = results / "captures" / name / "quality.json"
+            quality = store.read_json(path) if path.is_file() else {}
+            told = [state["warnings"].get(name), *(quality.get("warnings") or ())]
+            found[name] = list(dict.fromkeys(str(sentence) for sentence in told if sentence))
+    return found
 
 
 def contract_products(results: Path, state: dict[str, Any]) -> list[tuple[str, str]]:
@@ -109,8 +126,7 @@ def describe(outcome: Outcome) -> list[str]:
         for name in names:
             calibration = outcome.state["calibration_of"].get(name, "none")
             lines.append(f"  {name} (calibration {calibration}){_state(name, outcome)}")
-            if warning := outcome.state["warnings"].get(name):
-                lines.append(f"    Warning: {warning}")
+            lines += [f"    Warning: {warning}" for warning in outcome.warnings.get(name, ())]
     if outcome.refused:
         lines += ["", f"Refused: {len(outcome.refused)}"]
         lines += [f"  {name}: {why}" for name, why in sorted(outcome.refused.items())]

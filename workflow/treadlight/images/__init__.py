@@ -1,5 +1,6 @@
 """Images as corrected intensity: decode, linearise, subtract the dark, divide by exposure."""
 
-from treadlight.images.frames import FrameReader, LinearFrame, read_header
+from treadlight.images.files import check_frame, read_header
+from treadlight.images.frames import FrameReader, LinearFrame
 
-__all__ = ["FrameReader", "LinearFrame", "read_header"]
+__all__ = ["FrameReader", "LinearFrame", "check_frame", "read_header"]

@@ -2,13 +2,13 @@
 
 import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from treadlight.archive import Capture, Frame
 from treadlight.errors import CaptureError
+from treadlight.images.files import Header, check_length, is_whole, parse_header
 
 _CHANNELS = {"blue": 0, "green": 1, "red": 2}
 
@@ -33,9 +33,9 @@ class LinearFrame:
 class FrameReader:
     """Reads the frames of one capture; holds the capture's mean dark frame."""
 
-    def __init__(self, capture: Capture):
+    def __init__(self, capture: Capture, subtract_dark: bool = True):
         self.capture = capture
-        darks = [self._decode(frame) for frame in capture.of_kind("dark")]
+        darks = [self._decode(frame) for frame in capture.of_kind("dark") if subtract_dark]
         self._dark: np.ndarray | None = None
         if darks:
             linear = [_as_channels(self._linear(counts)) for counts in darks]
@@ -58,27 +58,35 @@ class FrameReader:
     def _decode(self, frame: Frame) -> np.ndarray:
         path = self.capture.path(frame)
         try:
+            check_length(self.capture, path)
             data = path.read_bytes()
-        except OSError as error:
+        except FileNotFoundError:
             raise CaptureError(
-                f"{path}: cannot be read ({error.strerror}). Restore the image or drop its row."
+                f"{path}: cannot be read (it is not there). Restore the image or drop its row."
             ) from None
         if frame.sha256 and hashlib.sha256(data).hexdigest() != frame.sha256:
             raise CaptureError(
                 f"{path}: its content differs from sha256 in frames.csv. Restore the image, or"
                 " correct the digest if the change was meant."
             )
-        # OpenCV raises on an empty buffer, and returns None for any other that it cannot decode.
-        image = cv2.imdecode(np.frombuffer(data or b"0", np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise CaptureError(f"{path}: cannot be decoded. Restore the image or drop its row.")
-        width, height = self.capture.encoding.size_px
-        if image.shape[:2] != (height, width) or image.dtype not in (np.uint8, np.uint16):
+        # What the header claims comes first: a decoder may take memory for all of it.
+        header = parse_header(path, data)
+        if header is not None and not self._is_as_told(header):
+            width, height = self.capture.encoding.size_px
             raise CaptureError(
-                f"{path}: is {image.shape[1]}x{image.shape[0]} {image.dtype}. capture.yaml says"
-                f" camera.size_px: [{width}, {height}], with 8 or 16 bits."
+                f"{path}: is {header.width}x{header.height} {header.dtype}. capture.yaml says"
+                f" camera.size_px: [{width}, {height}], with 8 or 16 bits; correct the one that is"
+                " wrong."
             )
+        image = _pixels(data) if header is not None and is_whole(data) else None
+        width, height = self.capture.encoding.size_px
+        if image is None or image.shape[:2] != (height, width):
+            raise CaptureError(f"{path}: cannot be decoded. Restore the image or drop its row.")
         return image if image.ndim == 3 else image[:, :, None]
+
+    def _is_as_told(self, header: Header) -> bool:
+        size = (header.width, header.height) == self.capture.encoding.size_px
+        return size and header.bits in (8, 16) and not header.is_float
 
     def _select(self, counts: np.ndarray, frame: Frame) -> np.ndarray:
         """The channels that count for this kind of frame, (h, w, 1 or 3)."""
@@ -101,6 +109,15 @@ class FrameReader:
         return _to_linear(counts * scale, self.capture.encoding.curve)
 
 
+def _pixels(data: bytes) -> np.ndarray | None:
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        if error.code == cv2.Error.STS_NO_MEM:
+            raise MemoryError from None
+        return None
+
+
 def _as_channels(linear: np.ndarray) -> np.ndarray:
     """A mono dark frame applies to every channel."""
     return linear if linear.shape[2] >= 3 else np.repeat(linear[:, :, :1], 3, axis=2)
@@ -113,22 +130,3 @@ def _to_linear(value: np.ndarray, curve: str) -> np.ndarray:
     low = value / np.float32(12.92)
     high = ((np.maximum(value, 0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
     return np.where(value <= 0.04045, low, high).astype(np.float32)
-
-
-def read_header(path: Path) -> tuple[int, int, int]:
-    """Width, height and bits per channel of an image, without decoding its pixels.
-
-    Raises
-    ------
-    CaptureError
-        The file is no PNG, TIFF or JPEG of 8 or 16 bits.
-    """
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(path, formats=("PNG", "TIFF", "JPEG")) as image:
-            bits = 16 if image.mode.startswith("I") else 8
-            return image.width, image.height, bits
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
-        reason = type(error).__name__
-        raise CaptureError(f"{path}: is no readable PNG, TIFF or JPEG ({reason}).") from None

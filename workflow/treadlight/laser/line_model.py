@@ -9,7 +9,7 @@ from numba import njit
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import nnls
 
-from treadlight.errors import CaptureError
+from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
     LineModel,
     detect_section,
@@ -105,8 +105,9 @@ def _measure_shape(
         skews.append(found.skew[bright, 0])
     width, skew = np.concatenate(widths), np.concatenate(skews)
     if not len(width):
-        raise CaptureError(
-            "The laser frames show no line above the noise. Check exposure and laser.channel."
+        raise NoLineError(
+            "The laser frames show no line above the noise, as if the laser was off. Check"
+            " exposure and laser.channel."
         )
     sigma = max(0.5, float(np.median(width)))
     off = np.abs(np.log(np.maximum(width, 1e-3) / sigma))

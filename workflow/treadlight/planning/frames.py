@@ -11,11 +11,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from treadlight.archive import Capture, Frame
+from treadlight.archive.documents import read_yaml
 from treadlight.errors import CaptureError
-from treadlight.images import read_header
+from treadlight.images import check_frame
 
 _BLOCK = 1 << 20
 
@@ -39,17 +38,23 @@ class FrameDigests:
         Raises
         ------
         CaptureError
-            An image's header is wrong.
+            An image cannot be read, or its header is wrong.
         """
         memory = self.folder / f"{capture.id}.json"
         old = _load(memory, capture)
         new = {}
         for frame in capture.frames:
-            stamp = _stamp(capture.path(frame))
-            entry = old.get(frame.file)
-            if entry is None or entry[:3] != stamp:
-                _check_header(capture, frame)
-                entry = [*stamp, _sha256(capture.path(frame))]
+            path = capture.path(frame)
+            try:
+                stamp = _stamp(path)
+                entry = old.get(frame.file)
+                if entry is None or entry[:3] != stamp:
+                    check_frame(capture, frame)
+                    entry = [*stamp, _sha256(path)]
+            except OSError as error:
+                raise CaptureError(
+                    f"{path}: cannot be read ({error.strerror}). Mend that, or drop its row."
+                ) from None
             new[frame.file] = entry
         self._known[capture.id] = new
         if new != old:
@@ -75,7 +80,7 @@ class FrameDigests:
 def facts_digest(capture: Capture) -> str:
     """Digest of what capture.yaml says and of the angles in frames.csv, not of any pixel."""
     angles = sorted({(f.kind, f.pose or 0, f.encoder_deg or 0.0) for f in capture.frames})
-    facts = yaml.safe_load((capture.folder / "capture.yaml").read_text(encoding="utf-8"))
+    facts = read_yaml(capture.folder / "capture.yaml")
     text = json.dumps([facts, angles], default=str, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -86,7 +91,7 @@ def _stamp(path: Path) -> list[int]:
 
 
 def _key(capture: Capture) -> str:
-    return f"{capture.folder.resolve()} {capture.encoding.size_px}"
+    return f"{capture.folder.resolve()} {capture.encoding.size_px} {capture.encoding.white_level}"
 
 
 def _load(memory: Path, capture: Capture) -> dict[str, list[Any]]:
@@ -110,14 +115,3 @@ def _sha256(path: Path) -> str:
         while block := stream.read(_BLOCK):
             digest.update(block)
     return digest.hexdigest()
-
-
-def _check_header(capture: Capture, frame: Frame) -> None:
-    path = capture.path(frame)
-    width, height, _ = read_header(path)
-    if (width, height) != capture.encoding.size_px:
-        wanted = list(capture.encoding.size_px)
-        raise CaptureError(
-            f"{path}: is {width}x{height}. capture.yaml says camera.size_px: {wanted}; correct"
-            " the one that is wrong."
-        )
