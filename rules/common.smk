@@ -151,10 +151,20 @@ def of_tire(name):
     ]
 
 
-def leds_of_tire(wildcards):
-    """leds.json of every calibration that the tire's captures take."""
+def calibration_files_of_tire(wildcards):
+    """What the report draws of every calibration that the tire's captures take."""
     names = {ARCHIVE.calibration_of[c] for c in ARCHIVE.tires[wildcards.tire]}
-    return [product(f"calibrations/{name}/leds.json") for name in sorted(names)]
+    return [
+        product(f"calibrations/{name}/{part}.json")
+        for name in sorted(names)
+        for part in ("camera", "laser_plane", "leds")
+    ]
+
+
+def facts_of_tire(name):
+    """What the tire's first capture says of it, as JSON: size, outboard side and the like."""
+    tire = ARCHIVE.measurements[ARCHIVE.tires[name][0]].tire
+    return json.dumps({"size": tire.size, **tire.facts}, sort_keys=True, default=str)
 
 
 def archive_state():

@@ -64,7 +64,7 @@ def _work(args: argparse.Namespace, paths: "list[Path]", settings: "WearSettings
 
     folder = store.store_folder(args.out)
     profiles = [store.open_store(path) for path in paths]
-    surfaces = [_surface(profile) for profile in profiles]
+    surfaces = [surface_of(profile) for profile in profiles]
     first, alignments = _align(profiles, surfaces)
     warnings = _warnings(profiles, alignments, len(args.profiles) - len(paths))
     if first.reference.reason:
@@ -81,7 +81,8 @@ def _work(args: argparse.Namespace, paths: "list[Path]", settings: "WearSettings
     store.write_text(args.trend, csv_text(rows))
 
 
-def _surface(profile: "xr.Dataset") -> "Surface":
+def surface_of(profile: "xr.Dataset") -> "Surface":
+    """A profile, read block by block."""
     import numpy as np
 
     from treadlight.geometry import CylinderGrid
