@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,31 +20,41 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 
 
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_LEFT_OUT = pytest.StashKey[list]()
+
+
 def pytest_collection_modifyitems(config, items):
-    """Without the shared data its tests are left out, and their number is said; never quietly."""
+    """Tests that lack what they need are left out, and their number is said; never quietly."""
     # What takes longest starts first, so that no core waits for it at the end.
     items.sort(key=lambda item: item.path.parent.name != "workflow")
-    marked = [item for item in items if item.get_closest_marker("shared")]
-    if not marked or SHARED.is_dir():
+    config.stash[_LEFT_OUT] = []
+    if not SHARED.is_dir():
+        _leave_out(config, items, "shared", "on shared data", "there is no ../shared.")
+    if browser() is None:
+        remedy = "there is no Chromium (make browser installs it)."
+        _leave_out(config, items, "browser", "of the pages", remedy)
+
+
+def _leave_out(config, items, marker, what, why):
+    marked = [item for item in items if item.get_closest_marker(marker)]
+    if not marked:
         return
-    if os.environ.get("REQUIRE_SHARED") == "1":
-        raise pytest.UsageError(
-            f"REQUIRE_SHARED=1, but there is no {SHARED.name}/ beside the project."
-        )
+    if os.environ.get(f"REQUIRE_{marker.upper()}") == "1":
+        raise pytest.UsageError(f"REQUIRE_{marker.upper()}=1, but {why}")
     items[:] = [item for item in items if item not in marked]
     config.hook.pytest_deselected(items=marked)
-    config.stash[_LEFT_OUT] = len(marked)
+    config.stash[_LEFT_OUT].append(f"{len(marked)} tests {what} left out: {why}")
 
 
-_LEFT_OUT = pytest.StashKey[int]()
+def browser() -> str | None:
+    """The system's Chromium, if any."""
+    return next(filter(None, map(shutil.which, _BROWSERS)), None)
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    count = config.stash.get(_LEFT_OUT, 0)
-    if count:
-        terminalreporter.write_line(
-            f"{count} tests on shared data left out: there is no ../shared."
-        )
+    for line in config.stash.get(_LEFT_OUT, []):
+        terminalreporter.write_line(line)
 
 
 @pytest.fixture
