@@ -22,10 +22,12 @@ include: "rules/integrate.smk"
 include: "rules/wear.smk"
 include: "rules/report.smk"
 include: "rules/index.smk"
+include: "rules/export.smk"
 
 
 localrules:
     all,
+    export,
     list_archive,
 
 

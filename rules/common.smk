@@ -47,11 +47,23 @@ if not ARCHIVE.measurements and not ARCHIVE.calibrations and not ARCHIVE.refused
     )
 CAPTURES = ARCHIVE.measurements | ARCHIVE.calibrations
 
+# Files of `snakemake export` by the format that `treadlight export` knows them by.
+EXPORTS = {
+    "mesh.ply": "mesh",
+    "points.ply": "points",
+    "height.x3p": "x3p",
+    "height.gwy": "gwy",
+    "profile.nc": "netcdf",
+    "height.png": "png",
+    "areal.csv": "areal",
+}
+
 
 wildcard_constraints:
     capture="|".join(map(re.escape, CAPTURES)) or "none",
     calibration="|".join(map(re.escape, ARCHIVE.calibrations)) or "none",
     tire="|".join(map(re.escape, ARCHIVE.tires)) or "none",
+    export="|".join(map(re.escape, EXPORTS)),
     view=r"\d\d+",
     round=r"(pass\d+/)?",
 

@@ -121,7 +121,7 @@ def _write_capture(folder: Path, name: str, mileage: float, worn: float, seed: i
     height[np.abs(np.abs(z) - 18) < 4] = 0.0
     noise = rng.normal(0, 0.01, theta.shape)
     r = radius - 8 + height + 0.05 * np.cos(2 * theta) + noise
-    r[:4, :3] = np.nan
+    r[:4, :3] = height[:4, :3] = np.nan
     dims = ("theta", "z")
     maps = {"r": r, "r_std": np.full_like(r, 0.01), "height": height + noise, "laser_r": r}
     data = xr.Dataset(

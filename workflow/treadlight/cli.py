@@ -28,6 +28,7 @@ COMMANDS = {
     "wear": "wear",
     "report": "report",
     "index": "index",
+    "export": "export",
     "status": "status",
     "evaluate": "evaluate",
     "normals": "normals",
