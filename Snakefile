@@ -11,6 +11,9 @@ configfile: "config/config.yaml"
 container: "docker://debian:12"
 
 
+report: "workflow/report/workflow.rst"
+
+
 include: "rules/common.smk"
 include: "rules/inspect_capture.smk"
 include: "rules/calibrate.smk"

@@ -10,7 +10,7 @@ rule report:
             product("tires/{tire}/report.html"),
             caption="../workflow/report/tire.rst",
             category="Tires",
-            labels={"tire": "{tire}"},
+            labels={"tire": "{tire}", "shows": "maps, trend, irregular wear, quality"},
         ),
     log:
         f"{RESULTS}/logs/report/{{tire}}.log",
