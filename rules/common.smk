@@ -9,6 +9,7 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from treadlight.archive import find_archive
+from treadlight.commands.common import TERMINAL
 from treadlight.commands.status import describe, read_outcome
 from treadlight.errors import TreadlightError
 from treadlight.planning.code import code_digest
@@ -19,6 +20,10 @@ from treadlight.planning.frames import FrameDigests, facts_digest
 shell.prefix(
     f"set -euo pipefail; PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; "
 )
+
+# Long jobs say how far they are in their log, and here too if there is somebody to read it.
+if sys.stderr.isatty():
+    os.environ[TERMINAL] = "1"
 
 try:
     config_source = ", ".join(map(str, workflow.configfiles)) or "config"

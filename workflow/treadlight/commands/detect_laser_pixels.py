@@ -74,7 +74,9 @@ def detect_capture(capture: "Capture", threads: int) -> "xr.Dataset":
         return found, select_path(found, model)
 
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        results = list(common.progress(pool.map(detect, frames), "Sections"))
+        results = list(
+            common.progress(pool.map(detect, frames), f"{capture.id}: laser sections", len(frames))
+        )
     found = [result for result, _ in results]
     return _dataset(capture, frames, found, [path for _, path in results], model)
 

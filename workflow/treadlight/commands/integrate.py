@@ -99,7 +99,7 @@ def integrate_products(
     if not usable:
         warnings.append("There are no normals: the profile comes from the laser alone.")
     profile = integrate.integrate_capture(
-        _read_views(usable),
+        common.progress(_read_views(usable), f"{capture.id}: views gathered", len(usable), 0),
         sections,
         integrate.FirstSurface(surface.r.values, surface.r_std.values),
         grid,

@@ -108,7 +108,7 @@ def _align(
 
     first = relief_from(surfaces[0])
     alignments = [Alignment.identity()]
-    for surface in common.progress(surfaces[1:], "aligned captures"):
+    for surface in common.progress(surfaces[1:], "captures aligned", every_s=0):
         alignments.append(align(first, relief_from(surface)))
     return first, alignments
 
