@@ -20,7 +20,7 @@ rule export_profile:
         f"{RESULTS}/benchmarks/export/{{capture}}/{{export}}.tsv"
     threads: 1
     resources:
-        mem_mb=memory_of(1500),
+        mem_mb=4000,
     params:
         format=lambda wildcards: EXPORTS[wildcards.export],
         settings=settings("export"),

@@ -140,3 +140,16 @@ def test_filters_in_the_wrong_order_are_named(profile, tmp_path, capsys):
     assert main(["export", "areal", str(profile), str(out), "--settings", settings]) == 2
     assert "export.s_filter_mm must be above 0 and below" in capsys.readouterr().err
     assert not list(tmp_path.glob(".writing*"))
+
+
+def test_a_large_profile_is_read_in_slabs_to_the_same_file(profile, tmp_path, monkeypatch):
+    whole = export("png", profile, tmp_path / "whole", "--step-mm", "2")
+    monkeypatch.setattr("treadlight.commands.export._CELLS_AT_ONCE", 2000)
+    slabs = export("png", profile, tmp_path / "slabs", "--step-mm", "2")
+    assert whole.read_bytes() == slabs.read_bytes()
+
+
+def test_more_cells_than_others_can_open_name_the_remedy(profile, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("treadlight.commands.export._MOST_CELLS", 1000)
+    assert main(["export", "mesh", str(profile), str(tmp_path / "m.ply")]) == 2
+    assert "Set export.step_mm or --step-mm" in capsys.readouterr().err

@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from treadlight.export import coarser, coarser_grid, height_picture, to_cartesian, triangles
+from treadlight.export import (
+    block_sides,
+    coarser,
+    coarser_grid,
+    height_picture,
+    to_cartesian,
+    triangles,
+)
 from treadlight.geometry import CylinderGrid
 
 
@@ -42,12 +49,14 @@ def test_coarser_cells_are_means_where_half_is_known(turn, rng):
     values = rng.normal(size=turn.shape)
     values[:2, :2] = np.nan
     values[2, 0] = np.nan
-    small, grid = coarser(values, turn, 0.9), coarser_grid(turn, 0.9)
+    sides = block_sides(turn, 0.9)
+    assert sides == (2, 2)
+    small, grid = coarser(values, sides), coarser_grid(turn, sides)
     assert small.shape == grid.shape
     assert np.isnan(small[0, 0])
     assert small[1, 0] == pytest.approx(np.nanmean(values[2:4, :2]))
     assert grid.theta[1] == pytest.approx(turn.theta[2:4].mean())
-    assert coarser(values, turn, 0.0).shape == turn.shape
+    assert block_sides(turn, 0.0) == (1, 1)
 
 
 def test_a_picture_gives_heights_back_to_half_a_step(rng):

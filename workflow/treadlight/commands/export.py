@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from treadlight.geometry import CylinderGrid
 
 # What a program that reads such files can still open.
-_MOST_CELLS = 50_000_000
+_MOST_CELLS = 20_000_000
+# About this many cells are read at once.
+_CELLS_AT_ONCE = 4_000_000
 _AREAL = ("sa_um", "sq_um", "sz_um", "ssk", "sku", "sdq", "sdr_percent", "sal_mm", "str")
 
 
@@ -86,18 +88,31 @@ class _Exported:
 def _read(data: "xr.Dataset", settings: "ExportSettings") -> _Exported:
     from treadlight.commands.wear import surface_of
     from treadlight.errors import ConfigError
-    from treadlight.export import coarser, coarser_grid
+    from treadlight.export import block_sides, coarser_grid
 
     grid = surface_of(data).grid
-    small = coarser_grid(grid, settings.step_mm)
+    sides = block_sides(grid, settings.step_mm)
+    small = coarser_grid(grid, sides)
     cells = small.shape[0] * small.shape[1]
     if cells > _MOST_CELLS:
         raise ConfigError(
             f"The export would have {cells / 1e6:.0f} million cells, more than other programs"
             f" open ({_MOST_CELLS / 1e6:.0f}). Set export.step_mm or --step-mm, such as 0.3."
         )
-    r, height = (coarser(data[name].to_numpy(), grid, settings.step_mm) for name in ("r", "height"))
+    r, height = (_coarse(data[name], sides) for name in ("r", "height"))
     return _Exported(r, height, small)
+
+
+def _coarse(variable: "xr.DataArray", sides: tuple[int, int]) -> "np.ndarray":
+    """A map on coarser cells, read slab by slab."""
+    import numpy as np
+
+    from treadlight.export import coarser
+
+    rows, columns = variable.shape
+    slab = max(1, _CELLS_AT_ONCE // (sides[0] * columns)) * sides[0]
+    starts = range(0, rows, slab)
+    return np.concatenate([coarser(variable[k : k + slab].to_numpy(), sides) for k in starts])
 
 
 def _write_mesh(data: "xr.Dataset", settings: "ExportSettings", out: Path) -> None:
@@ -219,11 +234,14 @@ def _gwy_texts(texts: dict[str, str]) -> Any:
 
 
 def _write_netcdf(data: "xr.Dataset", settings: "ExportSettings", out: Path) -> None:
+    import dask
     import numpy as np
+    import xarray as xr
 
     # NetCDF has no texts of any length in a dimension but as objects.
     texts = [name for name, v in data.variables.items() if v.dtype.kind not in "biufc"]
     content = data.assign_coords({name: data[name].astype(object) for name in texts})
+    content = content.chunk({"theta": max(1, _CELLS_AT_ONCE // data.sizes["z"])})
     for variable in content.variables.values():
         variable.encoding.clear()
     encoding = {
@@ -231,7 +249,13 @@ def _write_netcdf(data: "xr.Dataset", settings: "ExportSettings", out: Path) -> 
         for name, v in content.data_vars.items()
         if v.dtype.kind == "f"
     }
-    content.to_netcdf(out, engine="netcdf4", format="NETCDF4", encoding=encoding)
+    # One thread, one variable after the other by name: the same profile gives the same file.
+    axes = {name: content[name] for name in sorted(map(str, content.coords))}
+    with dask.config.set(scheduler="synchronous"):
+        xr.Dataset(coords=axes, attrs=content.attrs).to_netcdf(out, engine="netcdf4")
+        for name in sorted(map(str, content.data_vars)):
+            kept = {name: encoding[name]} if name in encoding else {}
+            content[[name]].to_netcdf(out, mode="a", engine="netcdf4", encoding=kept)
 
 
 def _write_png(data: "xr.Dataset", settings: "ExportSettings", out: Path) -> None:

@@ -1,7 +1,7 @@
 """What other programs read: meshes, pictures, areal parameters of a profile."""
 
 from treadlight.export.areal import ArealParameters, areal_parameters, scale_limited
-from treadlight.export.mesh import coarser, coarser_grid, to_cartesian, triangles
+from treadlight.export.mesh import block_sides, coarser, coarser_grid, to_cartesian, triangles
 from treadlight.export.patches import Patch, rib_patches
 from treadlight.export.picture import height_picture
 from treadlight.export.settings import ExportSettings
@@ -11,6 +11,7 @@ __all__ = [
     "ExportSettings",
     "Patch",
     "areal_parameters",
+    "block_sides",
     "coarser",
     "coarser_grid",
     "height_picture",

@@ -5,24 +5,23 @@ import numpy as np
 from treadlight.geometry import CylinderGrid
 
 
-def coarser(values: np.ndarray, grid: CylinderGrid, step_mm: float) -> np.ndarray:
-    """Means over blocks of whole cells, each side at least `step_mm` long.
+def coarser(values: np.ndarray, sides: tuple[int, int]) -> np.ndarray:
+    """Means over blocks of cells.
 
     Parameters
     ----------
     values : (n, m) float
         NaN = missing.
-    grid : CylinderGrid
-    step_mm : float
-        0 = as it is.
+    sides : (int, int)
+        Cells per block along theta and z, see `block_sides`.
 
     Returns
     -------
-    (a, b) float64
+    (n // sides[0], m // sides[1]) float64
         NaN where fewer than half the cells of a block are known. What is left over at the ends is
         dropped.
     """
-    tall, wide = block_sides(grid, step_mm)
+    tall, wide = sides
     rows, columns = values.shape[0] // tall, values.shape[1] // wide
     blocks = values[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
     known = np.isfinite(blocks)
@@ -31,22 +30,22 @@ def coarser(values: np.ndarray, grid: CylinderGrid, step_mm: float) -> np.ndarra
     return np.where(2 * count >= tall * wide, total / np.maximum(count, 1), np.nan)
 
 
-def coarser_grid(grid: CylinderGrid, step_mm: float) -> CylinderGrid:
+def block_sides(grid: CylinderGrid, step_mm: float) -> tuple[int, int]:
+    """Cells per block along theta and z, so that each side is at least `step_mm` long."""
+    sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
+    tall, wide = (max(1, int(np.ceil(step_mm / side - 1e-6))) for side in sides)
+    return min(tall, grid.shape[0]), min(wide, grid.shape[1])
+
+
+def coarser_grid(grid: CylinderGrid, sides: tuple[int, int]) -> CylinderGrid:
     """The grid of `coarser`."""
-    tall, wide = block_sides(grid, step_mm)
+    tall, wide = sides
     rows, columns = grid.shape[0] // tall, grid.shape[1] // wide
     return CylinderGrid(
         grid.theta[: rows * tall].reshape(rows, tall).mean(axis=1),
         grid.z[: columns * wide].reshape(columns, wide).mean(axis=1),
         grid.nominal_radius_mm,
     )
-
-
-def block_sides(grid: CylinderGrid, step_mm: float) -> tuple[int, int]:
-    """Cells per block along theta and z."""
-    sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
-    tall, wide = (max(1, int(np.ceil(step_mm / side - 1e-6))) for side in sides)
-    return min(tall, grid.shape[0]), min(wide, grid.shape[1])
 
 
 def to_cartesian(r: np.ndarray, theta: np.ndarray, z: np.ndarray) -> np.ndarray:
