@@ -40,8 +40,17 @@ def drawn(page, selector):
     plots = page.locator(selector)
     for number in range(plots.count()):
         plots.nth(number).scroll_into_view_if_needed()
-        expect(plots.nth(number)).to_have_attribute("data-drawn", "done", timeout=30_000)
+        expect(plots.nth(number)).to_have_attribute("data-drawn", "done", timeout=60_000)
     return plots
+
+
+def eventually(page, holds):
+    """Whether something comes true within 30 s: drawing takes its time on a busy machine."""
+    for _ in range(100):
+        if holds():
+            return True
+        page.wait_for_timeout(300)
+    return False
 
 
 def point_at(page, plot, share_x, share_y):
@@ -90,16 +99,18 @@ def test_pointing_at_a_map_says_where_and_how_high(open_page, screenshots):
 def test_pointing_at_wear_says_how_sure_it_is(open_page):
     page = open_page(REPORT, 1440)
     plot = drawn(page, '[data-map="wear"]').first
+    found = None
     for share in np.linspace(0.1, 0.9, 9):
         point_at(page, plot, share, 0.85)
+        # Over a slot there is no wear, and no text to wait for.
+        page.wait_for_timeout(300)
         text = plot.locator(".hoverlayer").text_content()
-        found = re.search(r"wear (.+) ± (.+) mm", text)
-        if found and "not detected" not in text:
-            wear, std = (float(part) for part in found.groups())
-            assert wear >= 2 * std
-            assert wear == pytest.approx(0.2, abs=0.1)
-            return
-    pytest.fail("No wear was shown on rib-1.")
+        found = None if "not detected" in text else re.search(r"wear (.+) \u00b1 (.+) mm", text)
+        if found:
+            break
+    wear, std = (float(part) for part in found.groups())
+    assert wear >= 2 * std
+    assert wear == pytest.approx(0.2, abs=0.1)
 
 
 def test_the_slider_and_a_click_pick_the_angle_of_the_sections(open_page, screenshots):
@@ -118,7 +129,7 @@ def test_the_slider_and_a_click_pick_the_angle_of_the_sections(open_page, screen
     plot = drawn(page, '[data-map="height"]').first
     x, y = point_at(page, plot, 0.25, 0.5)
     page.mouse.click(x, y)
-    assert float(number.input_value()) == pytest.approx(-90, abs=2)
+    assert eventually(page, lambda: abs(float(number.input_value()) + 90) < 2)
 
 
 def test_the_section_is_the_map_at_that_angle(open_page):
@@ -144,11 +155,14 @@ def test_the_tread_turns_with_the_mouse(open_page, screenshots):
     page.mouse.down()
     page.mouse.move(x + 150, y + 40, steps=5)
     page.mouse.up()
-    page.wait_for_timeout(500)
     after = surface.evaluate(camera)
     assert max(abs(before[k] - after[k]) for k in "xyz") > 0.1
-    # The tread, not only its axes: a tenth of the picture has changed.
-    assert (np.abs(pixels(surface) - picture).max(axis=2) > 30).mean() > 0.1
+
+    # The tread, not only its axes: a tenth of the picture changes.
+    def is_turned():
+        return (np.abs(pixels(surface) - picture).max(axis=2) > 30).mean() > 0.1
+
+    assert eventually(page, is_turned)
     surface.screenshot(path=screenshots / "surface.png")
 
 
@@ -157,8 +171,7 @@ def test_the_surface_can_show_wear(open_page):
     surface = drawn(page, '[data-plot="surface"]').first
     page.locator("#surface-choice").select_option(label="b, 200 mi: wear")
     colours = "box => Array.from(box.data[0].surfacecolor[5]).filter(Number.isFinite)"
-    wear = surface.evaluate(colours)
-    assert np.median(wear) == pytest.approx(0.2, abs=0.05)
+    assert eventually(page, lambda: abs(np.median(surface.evaluate(colours)) - 0.2) < 0.05)
 
 
 def test_another_capture_can_be_chosen_around_the_turn(open_page):

@@ -221,9 +221,9 @@ def irregular_notes(sides: Sides) -> list[str]:
     ]
     unknown = []
     if not sides.rolling:
-        unknown.append("which way the tire rolls (`rolling_direction`)")
+        unknown.append("which way the tire rolls (rolling_direction)")
     if not sides.outboard:
-        unknown.append("which side is outboard (`outboard`)")
+        unknown.append("which side is outboard (outboard)")
     if unknown:
         notes.append(
             f"The capture does not say {' nor '.join(unknown)}: signs are those of theta and z."

@@ -377,7 +377,7 @@ def share_chart(captures: Sequence[tuple[str, dict[str, float]]]) -> Chart:
     layout = {**axes("quality flag", "share of the cells (%)"), "barmode": "group"}
     return Chart(
         "Quality flags",
-        "A cell may carry several flags; what they mean stands in the store's `quality` variable.",
+        "A cell may carry several flags; what they mean stands in the store's variable 'quality'.",
         bars,
         layout,
         300,
