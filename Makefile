@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-faults test-repro bench-photometry bench-speed lint format lock clean
+.PHONY: help setup demo browser test test-faults test-repro bench-photometry bench-speed lint format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -29,7 +29,10 @@ demo: setup ## Make the demo archive (once), process it, say where the result pa
 	$(BIN)/snakemake --cores $(CORES)
 	@echo "Result page: results/index.html"
 
-test: setup ## Run all tests, with coverage
+browser: ## Install Chromium for the tests of the pages, where that is allowed
+	@sh workflow/envs/browser.sh
+
+test: setup browser ## Run all tests, with coverage
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
 
 test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (up to half an hour)

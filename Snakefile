@@ -11,6 +11,9 @@ configfile: "config/config.yaml"
 container: "docker://debian:12"
 
 
+report: "workflow/report/workflow.rst"
+
+
 include: "rules/common.smk"
 include: "rules/inspect_capture.smk"
 include: "rules/calibrate.smk"
@@ -22,10 +25,12 @@ include: "rules/integrate.smk"
 include: "rules/wear.smk"
 include: "rules/report.smk"
 include: "rules/index.smk"
+include: "rules/export.smk"
 
 
 localrules:
     all,
+    export,
     list_archive,
 
 

@@ -11,6 +11,7 @@ from snakemake.exceptions import WorkflowError
 
 from treadlight import store
 from treadlight.archive import find_archive
+from treadlight.commands.common import TERMINAL
 from treadlight.commands.status import describe, read_outcome
 from treadlight.errors import TreadlightError, sentence_of
 from treadlight.planning.code import code_digest
@@ -21,6 +22,10 @@ from treadlight.planning.frames import FrameDigests, facts_digest
 shell.prefix(
     f"set -euo pipefail; PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; "
 )
+
+# Long jobs say how far they are in their log, and here too if there is somebody to read it.
+if sys.stderr.isatty():
+    os.environ[TERMINAL] = "1"
 
 try:
     config_source = ", ".join(map(str, workflow.configfiles)) or "config"
@@ -53,11 +58,23 @@ if not ARCHIVE.measurements and not ARCHIVE.calibrations and not ARCHIVE.refused
     )
 CAPTURES = ARCHIVE.measurements | ARCHIVE.calibrations
 
+# Files of `snakemake export` by the format that `treadlight export` knows them by.
+EXPORTS = {
+    "mesh.ply": "mesh",
+    "points.ply": "points",
+    "height.x3p": "x3p",
+    "height.gwy": "gwy",
+    "profile.nc": "netcdf",
+    "height.png": "png",
+    "areal.csv": "areal",
+}
+
 
 wildcard_constraints:
     capture="|".join(map(re.escape, CAPTURES)) or "none",
     calibration="|".join(map(re.escape, ARCHIVE.calibrations)) or "none",
     tire="|".join(map(re.escape, ARCHIVE.tires)) or "none",
+    export="|".join(map(re.escape, EXPORTS)),
     view=r"\d\d+",
     round=r"(pass\d+/)?",
 
@@ -157,10 +174,20 @@ def of_tire(name):
     ]
 
 
-def leds_of_tire(wildcards):
-    """leds.json of every calibration that the tire's captures take."""
+def calibration_files_of_tire(wildcards):
+    """What the report draws of every calibration that the tire's captures take."""
     names = {ARCHIVE.calibration_of[c] for c in ARCHIVE.tires[wildcards.tire]}
-    return [product(f"calibrations/{name}/leds.json") for name in sorted(names)]
+    return [
+        product(f"calibrations/{name}/{part}.json")
+        for name in sorted(names)
+        for part in ("camera", "laser_plane", "leds")
+    ]
+
+
+def facts_of_tire(name):
+    """What the tire's first capture says of it, as JSON: size, outboard side and the like."""
+    tire = ARCHIVE.measurements[ARCHIVE.tires[name][0]].tire
+    return json.dumps({"size": tire.size, **tire.facts}, sort_keys=True, default=str)
 
 
 def archive_state():

@@ -30,6 +30,7 @@ rule index:
             product("index.html"),
             caption="../workflow/report/index.rst",
             category="Archive",
+            labels={"shows": "every tire and capture"},
         ),
         products=product("products.json"),
     log:

@@ -6,7 +6,12 @@ rule integrate:
         views=views_of,
     output:
         profile=product("captures/{capture}/{round}profile.zarr"),
-        quality=product("captures/{capture}/{round}quality.json"),
+        quality=report(
+            product("captures/{capture}/{round}quality.json"),
+            caption="../workflow/report/quality.rst",
+            category="Numbers",
+            labels={"capture": "{capture}", "shows": "quality"},
+        ),
     log:
         f"{RESULTS}/logs/integrate/{{capture}}/{{round}}integrate.log",
     benchmark:

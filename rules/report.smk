@@ -4,13 +4,13 @@ rule report:
         trend=product("tires/{tire}/trend.csv"),
         profiles=of_tire("profile.zarr"),
         quality=of_tire("quality.json"),
-        leds=leds_of_tire,
+        calibration_files=calibration_files_of_tire,
     output:
         report(
             product("tires/{tire}/report.html"),
             caption="../workflow/report/tire.rst",
             category="Tires",
-            labels={"tire": "{tire}"},
+            labels={"tire": "{tire}", "shows": "maps, trend, irregular wear, quality"},
         ),
     log:
         f"{RESULTS}/logs/report/{{tire}}.log",
@@ -24,14 +24,14 @@ rule report:
             ARCHIVE.calibration_of[capture]
             for capture in ARCHIVE.tires[wildcards.tire]
         ],
-        size=lambda wildcards: ARCHIVE.measurements[
-            ARCHIVE.tires[wildcards.tire][0]
-        ].tire.size,
+        facts=lambda wildcards: facts_of_tire(wildcards.tire),
+        settings=settings("wear"),
         code=code_digest("treadlight.commands.report"),
     message:
         "Writing the report of tire {wildcards.tire}"
     shell:
         "treadlight report {wildcards.tire} --wear {input.wear:q} --trend {input.trend:q}"
         " --profiles {input.profiles:q} --quality {input.quality:q}"
-        " --calibrations {params.calibrations:q} --leds {input.leds:q} --size {params.size:q}"
-        " --code {params.code} --out {output:q} 2> {log:q}"
+        " --calibrations {params.calibrations:q} --calibration-files {input.calibration_files:q}"
+        " --facts {params.facts:q} --settings {params.settings:q} --code {params.code}"
+        " --out {output:q} 2> {log:q}"

@@ -3,7 +3,12 @@ rule wear:
         profiles=of_tire("profile.zarr"),
     output:
         wear=product("tires/{tire}/wear.zarr"),
-        trend=product("tires/{tire}/trend.csv"),
+        trend=report(
+            product("tires/{tire}/trend.csv"),
+            caption="../workflow/report/trend.rst",
+            category="Numbers",
+            labels={"tire": "{tire}", "shows": "depth, wear, rate"},
+        ),
     log:
         f"{RESULTS}/logs/wear/{{tire}}.log",
     benchmark:

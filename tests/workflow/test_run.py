@@ -135,3 +135,22 @@ def test_the_budget_says_what_true_inputs_would_gain(processed):
     for later in report["wear"].values():
         for sources in later.values():
             assert abs(sources["both"]["mean_error_mm"]) < 0.02
+
+
+def test_exports_are_made_on_request_only(processed, project):
+    assert not (processed.results / "exports").exists()
+    folder = next((project.results / "captures").glob("t*")).name
+    wanted = [f"results/exports/{folder}/{name}" for name in ("height.x3p", "areal.csv")]
+    project.snakemake(*wanted)
+    assert all((project.folder / path).stat().st_size > 100 for path in wanted)
+    planned = project.planned("export")
+    captures = len([c for c in (project.results / "captures").iterdir() if c.name[0] == "t"])
+    assert planned == {"export_profile": 7 * captures - 2, "export": 1}
+
+
+def test_snakemakes_own_report_has_categories_captions_and_labels(project):
+    project.snakemake("--report", "report.html")
+    text = (project.folder / "report.html").read_text(encoding="utf-8")
+    for part in ("Archive", "Tires", "Numbers", "every tire and capture", "depth, wear, rate"):
+        assert part in text
+    assert "Where, how fast and how evenly tire" in text

@@ -29,6 +29,7 @@ COMMANDS = {
     "report": "report",
     "index": "index",
     "check": "check_capture",
+    "export": "export",
     "status": "status",
     "verify": "verify",
     "evaluate": "evaluate",

@@ -24,8 +24,9 @@ def profile(rng, name, mileage):
     theta, z = np.linspace(0, 0.3, 40), np.linspace(-10, 10, 30)
     height = 8 + rng.normal(0, 0.05, (40, 30))
     height[:5] = np.nan
+    maps = {"height": height, "r": 347 + height, "r_std": np.full((40, 30), 0.05)}
     return xr.Dataset(
-        {"height": variable(("theta", "z"), height, "mm", "height")},
+        {name: variable(("theta", "z"), values, "mm", name) for name, values in maps.items()},
         coords={
             "theta": variable(("theta",), theta, "rad", "angle"),
             "z": variable(("z",), z, "mm", "position along the axis"),
@@ -66,7 +67,12 @@ def pristine(tmp_path_factory):
     data = (
         profiles[0]
         .drop_vars("height")
-        .assign(wear=variable(("capture", "theta", "z"), wear, "mm", "wear"))
+        .drop_vars(["r", "r_std"])
+        .assign(
+            wear=variable(("capture", "theta", "z"), wear, "mm", "wear"),
+            wear_std=variable(("capture", "theta", "z"), 0 * wear + 0.02, "mm", "wear_std"),
+            r=variable(("capture", "theta", "z"), profiles[0]["r"].values - wear, "mm", "r"),
+        )
     )
     data = data.assign_coords(
         capture=variable(("capture",), np.array(["a", "b"]), "1", "capture"),

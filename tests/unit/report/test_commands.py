@@ -1,10 +1,13 @@
+import base64
 import hashlib
 import json
 import re
 import shutil
 
+import numpy as np
 import pytest
 
+from treadlight import store
 from treadlight.cli import main
 
 PROFILES = ["captures/a/profile.zarr", "captures/b/profile.zarr/zarr.json"]
@@ -35,14 +38,34 @@ def change_state(results, **changes):
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}), encoding="utf-8")
 
 
-def test_a_report_holds_maps_section_trend_and_is_the_same_twice(results):
-    text = report(results, calibrations=["cal", "cal"], size=["215/70R16"])
-    assert text.count("data:image/png;base64,") == 4
+def page_data(text):
+    """What the page's script gets, as Python values."""
+    shown = text.partition('id="page-data">')[2].partition("</script>")[0]
+    return json.loads(shown)
+
+
+def unpacked(layer, name):
+    counts = np.frombuffer(base64.b64decode(layer[name]), "<i2").astype(float)
+    counts[counts == -32768] = np.nan
+    return counts.reshape(layer["theta_deg"]["count"], layer["z_mm"]["count"]) / 1000
+
+
+def test_a_report_holds_maps_and_trend_and_is_the_same_twice(results):
+    facts = [json.dumps({"size": "215/70R16", "outboard": "+z"})]
+    text = report(results, calibrations=["cal", "cal"], facts=facts)
     assert "215/70R16" in text
     assert "a: Odd a." in text
-    assert report(results, calibrations=["cal", "cal"], size=["215/70R16"]) == text
+    assert text.count('data-plot="map"') == 3
+    assert report(results, calibrations=["cal", "cal"], facts=facts) == text
     provenance = json.loads((results / "tires/t7/report.html.provenance.json").read_text())
     assert len(provenance["inputs"]) == 6
+
+
+def test_later_heights_stand_in_the_first_captures_frame(results):
+    first, second = page_data(report(results))["layers"]
+    difference = unpacked(first, "height") - unpacked(second, "height")
+    assert np.nanmax(np.abs(difference - 0.1)) < 2e-3
+    assert first["wear"] is None
 
 
 def test_a_report_shows_how_far_the_rays_pass_each_led(results):
@@ -53,25 +76,21 @@ def test_a_report_shows_how_far_the_rays_pass_each_led(results):
         for ball in range(5)
     ]
     path.write_text(json.dumps({"leds": [{"led": 0}, {"led": 1}], "rays": rays}))
-    text = report(results, calibrations=["cal", "cal"], leds=[path])
-    assert text.count("data:image/png;base64,") == 5
+    text = report(results, **{"calibration-files": [path]})
     assert "0.15 mm in the mean of 8 rays. 2 more" in text
-    path.write_text(json.dumps({"leds": None}))
-    assert "LEDs" not in report(results, leds=[path])
-    path.write_text(json.dumps({"refused": "No board."}))
-    assert "LEDs" not in report(results, leds=[path])
+    for nothing in ({"leds": None}, {"refused": "No board."}):
+        path.write_text(json.dumps(nothing))
+        assert "LEDs" not in report(results, **{"calibration-files": [path]})
 
 
 def test_one_capture_gives_a_report_without_wear(results):
-    from treadlight import store
-
     one = store.open_store(results / "tires/t7/wear.zarr").isel(capture=slice(0, 1)).load()
     store.write_store(results / "tires/t7/wear.zarr", one, title="W", source="t7")
     rows = (results / "tires/t7/trend.csv").read_text().splitlines()[:3]
     store.write_text(results / "tires/t7/trend.csv", "\n".join(rows) + "\n")
     text = report(results, "a")
-    assert text.count("data:image/png;base64,") == 2
-    assert "Unrolled wear maps" not in text
+    assert text.count('data-plot="map"') == 1
+    assert "Irregular wear" not in text
 
 
 def test_a_refused_capture_is_told_and_the_others_are_drawn(results, refuse):
@@ -79,7 +98,7 @@ def test_a_refused_capture_is_told_and_the_others_are_drawn(results, refuse):
     text = report(results)
     assert "b was refused: led/3.png: cannot be decoded." in text
     assert "There is no wear:" in text
-    assert "Unrolled height maps" in text
+    assert text.count('data-map="height"') == 1
 
 
 def test_a_tire_without_any_usable_capture_still_has_a_report(results, refuse):
@@ -89,7 +108,7 @@ def test_a_tire_without_any_usable_capture_still_has_a_report(results, refuse):
     (results / "tires/t7/trend.csv").write_text("tire,capture,region\n")
     text = report(results)
     assert text.count("was refused") == 2
-    assert "<img" not in text
+    assert "<script" not in text
 
 
 def test_lists_of_different_length_are_refused_with_a_sentence(results, capsys):
@@ -205,8 +224,6 @@ def test_status_names_what_is_missing(results, capsys):
 
 
 def test_views_that_a_capture_no_longer_has_are_no_products(results):
-    from treadlight import store
-
     store.write_json(results / "captures/a/inventory.json", {"views": []})
     (results / "captures/b/inventory.json").unlink()
     files = index(results)[1]["files"]

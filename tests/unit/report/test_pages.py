@@ -1,16 +1,23 @@
 import dataclasses
+import re
 
+import numpy as np
 import pytest
 
 from treadlight.report import (
     ArchivePage,
     CaptureFacts,
     CaptureLine,
+    IrregularWear,
+    Layer,
     TireCard,
     TirePage,
+    Verdict,
     archive_page,
     tire_page,
+    verdict,
 )
+from treadlight.report.tables import irregular_table
 
 ROW = {
     "tire": "t7",
@@ -53,17 +60,23 @@ def capture():
 @pytest.fixture
 def page(capture):
     refused = CaptureFacts("t7-2", "", "", "", "cal-1", {}, "led.png: cannot be decoded.")
-    return TirePage("t7", "215/70R16", 355.0, [capture, refused], None, ["Odd."], [ROW])
+    facts = [("Size", "215/70R16"), ("Nominal radius", "355.0 mm")]
+    return TirePage("t7", facts, "It wears.", [capture, refused], None, ["Odd."], trend=[ROW])
 
 
 def test_warnings_come_before_any_table(page):
     text = tire_page(page)
-    for sentence in ("led.png: cannot be decoded.", "Odd.", "The &lt;calibration&gt; was taken"):
+    for sentence in (
+        "It wears.",
+        "led.png: cannot be decoded.",
+        "Odd.",
+        "The &lt;calibration&gt; was taken",
+    ):
         assert text.index(sentence) < text.index("<table")
 
 
 def test_the_head_names_tire_size_mileage_and_calibration(page):
-    head = tire_page(page).split("<h2>")[0]
+    head = tire_page(page).split("<h2")[0]
     for fact in ("Tire t7", "215/70R16", "100 mi", "cal-1", "355.0"):
         assert fact in head
 
@@ -76,7 +89,7 @@ def test_a_rib_row_shows_depth_wear_and_status(page):
 
 
 def test_quality_shows_measured_captures_only(page):
-    quality = tire_page(page).split("<h2>Quality</h2>")[1]
+    quality = tire_page(page).split(">Quality</h2>")[1]
     assert "t7-1" in quality
     assert "t7-2" not in quality
     assert "97.5\u202f%" in quality
@@ -85,11 +98,30 @@ def test_quality_shows_measured_captures_only(page):
 
 
 def test_a_tire_of_refused_captures_only_says_why_and_nothing_else(page):
-    bare = dataclasses.replace(page, captures=page.captures[1:], trend=[], nominal_radius_mm=None)
+    bare = dataclasses.replace(page, captures=page.captures[1:], trend=[], facts=[], verdict="")
     text = tire_page(bare)
     assert "t7-2 was refused: led.png: cannot be decoded." in text
     assert "Quality" not in text
-    assert "<img" not in text
+    assert "<script" not in text
+
+
+def test_a_page_with_figures_carries_its_scripts_and_data(page):
+    layer = Layer("a", np.ones((4, 3)), None, None, (0.0, 1.0), (0.0, 1.0), np.ones(3), False)
+    worn = dataclasses.replace(layer, wear=np.ones((4, 3)), wear_std=np.ones((4, 3)))
+    text = tire_page(dataclasses.replace(page, layers=[layer, worn], radius_mm=355.0))
+    assert text.count("<script>") == 2
+    assert text.count('data-map="height"') == 2
+    assert text.count('data-layer="1" data-map="wear"') == 1
+    assert re.findall(r'(?:src|href)="(?!#)', text.partition("<script>")[0]) == []
+
+
+def test_irregular_wear_has_a_word_in_every_capture():
+    row = IrregularWear(
+        "cupping", "rib-1", "why", [("a", 0.2, 0.01, "slight"), ("b", np.nan, np.nan, "not known")]
+    )
+    text = irregular_table([row])
+    assert "200 \u00b1 10: slight" in text
+    assert ">not known</td>" in text
 
 
 def test_refused_wear_is_said(page):
@@ -104,7 +136,7 @@ def line(**changes):
 
 def test_the_archive_page_links_tires_and_counts_refusals():
     content = ArchivePage(
-        tires=[TireCard("t7", "tires/t7/report.html", b"png", [("Captures", "2")])],
+        tires=[TireCard("t7", "tires/t7/report.html", b"png", [("Captures", "2")], "refused")],
         captures=[line(warnings=["Late <calibration>."]), line(id="t7-2", refused="Bad pixels.")],
         calibrations=[("cal-1", "camera 0.02 px", False), ("cal-2", "No board.", True)],
         refused={"t9": "capture.yaml: 'kind' is <None>."},
@@ -122,7 +154,50 @@ def test_the_archive_page_links_tires_and_counts_refusals():
 
 
 def test_an_archive_without_reports_has_no_links():
-    text = archive_page(ArchivePage([TireCard("t7", None, None, [])], [line()], [], {}))
+    text = archive_page(ArchivePage([TireCard("t7", None, None, [], "good")], [line()], [], {}))
     assert "<a " not in text
     assert "<img" not in text
     assert "nothing refused" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "light"),
+    [
+        ({}, "good"),
+        ({"warnings": ["Late."]}, "look"),
+        ({"coverage": 0.5}, "look"),
+        ({"coverage": None}, "look"),
+        ({"refused": "Bad."}, "refused"),
+    ],
+)
+def test_the_light_says_whether_to_look_closer(changes, light):
+    assert line(**changes).light == light
+    text = archive_page(ArchivePage([], [line(**changes)], [], {}))
+    assert f'class="light {light}"' in text
+
+
+def facts(status="valid", **changes):
+    row = {"wear_mm": "0.2", "wear_std_mm": "0.03", "rate_mm_per_1000km": "0.6", "status": status}
+    rib = ("rib-5", {**row, "wear_mm": "0.3"})
+    plain = Verdict("mi", 100.0, 300.0, row, rib, 1.6, ("the mean", 5000.0, 4000.0, np.nan), [])
+    return dataclasses.replace(plain, **changes)
+
+
+def test_the_verdict_says_where_how_fast_how_evenly_and_how_sure():
+    text = verdict(facts())
+    for part in (
+        "200 \u00b1 30",
+        "valid rate of 0.60",
+        "fastest on rib-5 (300",
+        "no irregular",
+        "1.6\u202fmm at about 5000 mi (4000 to no upper end) by the mean.",
+    ):
+        assert part in text
+    assert "unevenly (slight cupping)" in verdict(facts(irregular=["slight cupping"]))
+    assert "indicative rate" in verdict(facts(status="indicative"))
+
+
+def test_the_verdict_draws_nothing_from_wear_that_is_not_detected():
+    text = verdict(facts(status="not_detected"))
+    assert text.startswith("No wear is detected from 100 to 300 mi")
+    assert "rate" not in text

@@ -184,6 +184,15 @@ def test_outliers_do_not_move_a_tallys_mean(rng):
     assert abs(tally.mean_and_spread()[0] - 0.1) < 2e-3
 
 
+def test_the_least_value_is_of_cells_that_belong_to_the_region(rng):
+    tally, place = Tally(), np.zeros(5000)
+    values = rng.normal(7.0, 0.05, 5000)
+    values[:3] = 1.0  # a stone's hole is no tread depth
+    tally.add(values, place + 0.05, place, place)
+    assert tally.least() == pytest.approx(values[3:].min(), abs=0.02)
+    assert np.isnan(Tally().least())
+
+
 def test_an_empty_tally_is_nan_and_no_crash():
     tally = Tally()
     assert np.isnan(tally.quantiles((0.5,))).all()

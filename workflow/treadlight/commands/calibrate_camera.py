@@ -1,7 +1,7 @@
 """Calibrate the camera from checkerboards, and the reference plane.
 
-Writes camera.json: the entries `camera` and `reference_plane` of a calibration, and the
-covariance of the intrinsics.
+Writes camera.json: the entries `camera` and `reference_plane` of a calibration, the residuals of
+all corners found, and the covariance of the intrinsics.
 """
 
 import argparse
@@ -68,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
                     " inner corners. Take the reference board again, or drop its row."
                 )
             plane = core.board_pose(found.camera, corners, board).plane
-        store.write_json(args.out, with_warnings(_content(found, plane), warnings))
+        content = _content(found, plane, _residuals_px(found.camera, pairs))
+        store.write_json(args.out, with_warnings(content, warnings))
 
     return run_stage(
         args,
@@ -80,7 +81,21 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _content(found, plane) -> dict:
+def _residuals_px(camera, pairs):
+    """Corners less where the camera puts them, each board in its best pose, (n, 2) float64."""
+    import numpy as np
+
+    from treadlight.calibrate.camera import board_pose
+
+    found = []
+    for corners, board in pairs:
+        pose = board_pose(camera, corners, board)
+        points = np.atleast_2d(board) @ pose.rotation.T + pose.translation
+        found.append(corners - camera.project(points))
+    return np.round(np.concatenate(found), 4)
+
+
+def _content(found, plane, residuals_px) -> dict:
     from treadlight.calibrate.camera import PARAMETERS
 
     camera = found.camera
@@ -95,6 +110,7 @@ def _content(found, plane) -> dict:
         "reference_plane": (
             None if plane is None else {"coefficients": [*plane.normal, plane.offset]}
         ),
+        "residuals_px": residuals_px,
         "covariance": {
             "order": [f"camera.{name}" for name in PARAMETERS],
             "matrix": found.covariance,

@@ -1,11 +1,14 @@
 """Calibrate the laser plane from its line on checkerboards in many poses.
 
 Writes laser_plane.json: the entry `laser_plane` of a calibration (null without `board_laser`
-frames), its covariance with the camera held, and how it depends on the camera.
+frames), the histogram of its residuals, its covariance with the camera held, and how it depends
+on the camera.
 """
 
 import argparse
 from pathlib import Path
+
+_HISTOGRAM_BINS = 40
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,6 +98,7 @@ def _content(found, jacobian) -> dict:
     import numpy as np
 
     distances = found.distances_mm
+    counts, edges = np.histogram(distances, bins=_HISTOGRAM_BINS)
     return {
         "laser_plane": {
             "coefficients": [*found.plane.normal, found.plane.offset],
@@ -106,6 +110,7 @@ def _content(found, jacobian) -> dict:
             "poses": found.poses,
             "points": len(distances),
         },
+        "histogram_mm": {"edges": edges, "counts": counts},
         "covariance": found.covariance,
         "camera_jacobian": jacobian,
     }

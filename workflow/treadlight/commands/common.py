@@ -1,10 +1,12 @@
 """What the commands share: settings, refusal, provenance, progress."""
 
 import argparse
+import contextlib
 import dataclasses
 import hashlib
 import importlib.metadata
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -31,6 +33,8 @@ _NOT_OF_THE_DATA = (
     ConfigError,
     StoreError,
 )
+# Set by the workflow where its own messages go to a terminal.
+TERMINAL = "TREADLIGHT_TERMINAL"
 _VERSIONED = ("numpy", "scipy", "opencv-python-headless", "zarr", "xarray", "open3d", "numba")
 
 
@@ -155,15 +159,30 @@ def with_warnings(content: dict[str, Any], warnings: list[str]) -> dict[str, Any
     return {**content, "warnings": warnings} if warnings else content
 
 
-def progress(items: Iterable[T], label: str, every_s: float = 5.0) -> Iterator[T]:
-    """Yield the items, saying on stderr how far the work is, every few seconds."""
-    items = list(items)
+def progress(
+    items: Iterable[T], label: str, count: int | None = None, every_s: float = 5.0
+) -> Iterator[T]:
+    """Yield the items, saying how far the work is (`label`: 57 of 200), every few seconds.
+
+    With a `count` the items may be made while they are asked for.
+    """
+    if count is None:
+        items = list(items)
+        count = len(items)
     last = time.monotonic()
     for done, item in enumerate(items):
         if time.monotonic() - last > every_s:
-            print(f"{label}: {done} of {len(items)}", file=sys.stderr, flush=True)
+            say(f"{label}: {done} of {count}")
             last = time.monotonic()
         yield item
+
+
+def say(line: str) -> None:
+    """A line to the log (stderr) and, if Snakemake runs in one, to its terminal."""
+    print(line, file=sys.stderr, flush=True)
+    if os.environ.get(TERMINAL) and not sys.stderr.isatty():
+        with contextlib.suppress(OSError), open("/dev/tty", "w", encoding="utf-8") as terminal:
+            terminal.write(line + "\n")
 
 
 def settings_defaults(cls: type) -> dict[str, Any]:

@@ -92,7 +92,9 @@ def detect_capture(capture: "Capture", threads: int, tell_all: bool = False) -> 
         return found, select_path(found, model)
 
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        results = list(common.progress(pool.map(detect, frames), "Sections"))
+        results = list(
+            common.progress(pool.map(detect, frames), f"{capture.id}: laser sections", len(frames))
+        )
     found = [result for result, _ in results]
     paths = [path for _, path in results]
     warnings = []

@@ -42,13 +42,13 @@ def run(args: argparse.Namespace) -> int:
 
     outcome = read_outcome(args.results, args.archive_state)
     state = outcome.state
+    lines = {
+        tire: [_line(args.results, tire, name, outcome) for name in names]
+        for tire, names in state["tires"].items()
+    }
     page = ArchivePage(
-        tires=[_card(args.results, tire, names, outcome) for tire, names in state["tires"].items()],
-        captures=[
-            _line(args.results, tire, name, outcome)
-            for tire, names in state["tires"].items()
-            for name in names
-        ],
+        tires=[_card(args.results, tire, of, outcome) for tire, of in lines.items()],
+        captures=[line for of in lines.values() for line in of],
         calibrations=[_calibration(args.results, name, outcome) for name in calibrations_of(state)],
         refused=state["refused"],
     )
@@ -60,32 +60,44 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _card(results: Path, tire: str, names: list[str], outcome: Outcome) -> "TireCard":
+def _card(results: Path, tire: str, lines: "list[CaptureLine]", outcome: Outcome) -> "TireCard":
     from treadlight import store
-    from treadlight.report import TireCard, html
+    from treadlight.report import LIGHTS, TireCard, html
 
     folder = results / "tires" / tire
-    facts = [("Captures", str(len(names)))]
+    mileages = ", ".join(line.mileage for line in lines if line.mileage)
+    facts = [("Captures", str(len(lines))), ("Mileages", mileages)]
     trend = folder / "trend.csv"
     rows = store.read_csv(trend) if trend.is_file() else []
     whole = [row for row in rows if row["region"] == "tread"]
     if whole:
         last = whole[-1]
         depth = html.number(last["depth_mm"] or None, 2, "mm")
-        wear = html.number(1000 * float(last["wear_mm"]) if last["wear_mm"] else None, 0, "\u00b5m")
-        facts += [
-            ("Mileage", f"{html.number(last['mileage'], 0)} {last['unit']}"),
-            ("Tread depth", depth),
-            ("Wear", wear),
-        ]
+        facts += [("Tread depth", depth), ("Mean wear", _wear(last))]
     link = f"tires/{tire}/report.html" if (folder / "report.html").is_file() else None
-    return TireCard(tire, link, _picture(results, names, outcome), facts)
+    worst = max((line.light for line in lines), key=list(LIGHTS).index, default="refused")
+    picture = _picture(results, [line.id for line in lines], outcome)
+    return TireCard(tire, link, picture, facts, worst)
+
+
+def _wear(row: dict[str, str]) -> str:
+    """Mean wear of the tread with its standard uncertainty, or that there is none to be seen."""
+    from treadlight.report import html
+
+    value, std = (
+        html.number(1000 * float(row[name]) if row.get(name) else None, 0)
+        for name in ("wear_mm", "wear_std_mm")
+    )
+    if row["status"] == "first":
+        return "\u2013"
+    shown = f"{value} \u00b1 {std}\u202f\u00b5m"
+    return f"not detected ({shown})" if row["status"] == "not_detected" else shown
 
 
 def _picture(results: Path, names: list[str], outcome: Outcome) -> bytes | None:
     """The height map of the latest capture that has one."""
     from treadlight import store
-    from treadlight.report import Map, reduce_map, thumbnail
+    from treadlight.report import reduce_map, thumbnail
 
     for name in reversed(names):
         path = results / "captures" / name / "profile.zarr"
@@ -97,7 +109,7 @@ def _picture(results: Path, names: list[str], outcome: Outcome) -> bytes | None:
             return height.isel(theta=rows).to_numpy()
 
         values = reduce_map(read, (height.sizes["theta"], height.sizes["z"]), _THUMBNAIL_CELLS)
-        return thumbnail(Map(name, values, (0, 1), (0, 1)))
+        return thumbnail(values)
     return None
 
 

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         capture = read_capture(args.capture)
-        frames = common.progress(capture.frames, "Hashing images")
+        frames = common.progress(capture.frames, f"{capture.id}: images looked at")
         digests = {frame.file: common.product_digest(capture.path(frame)) for frame in frames}
         store.write_json(args.out, inventory(capture, digests))
 

@@ -65,6 +65,10 @@ def run(args: argparse.Namespace) -> int:
         grid = grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
         rows = needed_rows(view, grid)
+        place = capture.views.index(args.view) + 1
+        common.say(
+            f"{capture.id}: view {place} of {len(capture.views)}, {len(view.leds)} images read"
+        )
         part = surface[["r", "r_std"]].isel(theta=rows).load()
         found = solve_view(
             view,

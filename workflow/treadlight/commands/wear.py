@@ -64,7 +64,7 @@ def _work(args: argparse.Namespace, paths: "list[Path]", settings: "WearSettings
 
     folder = store.store_folder(args.out)
     profiles = [store.open_store(path) for path in paths]
-    surfaces = [_surface(profile) for profile in profiles]
+    surfaces = [surface_of(profile) for profile in profiles]
     first, alignments = _align(profiles, surfaces)
     warnings = _warnings(profiles, alignments, len(args.profiles) - len(paths))
     if first.reference.reason:
@@ -81,7 +81,8 @@ def _work(args: argparse.Namespace, paths: "list[Path]", settings: "WearSettings
     store.write_text(args.trend, csv_text(rows))
 
 
-def _surface(profile: "xr.Dataset") -> "Surface":
+def surface_of(profile: "xr.Dataset") -> "Surface":
+    """A profile, read block by block."""
     import numpy as np
 
     from treadlight.geometry import CylinderGrid
@@ -107,7 +108,7 @@ def _align(
 
     first = relief_from(surfaces[0])
     alignments = [Alignment.identity()]
-    for surface in common.progress(surfaces[1:], "aligned captures"):
+    for surface in common.progress(surfaces[1:], "captures aligned", every_s=0):
         alignments.append(align(first, relief_from(surface)))
     return first, alignments
 

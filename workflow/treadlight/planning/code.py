@@ -4,6 +4,7 @@ import ast
 import hashlib
 import importlib.metadata
 import sys
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,8 @@ _ROOT = Path(__file__).resolve().parents[1]
 def code_digest(module: str, root: Path = _ROOT) -> str:
     """SHA-256 over a module, what it imports from the package, and third-party versions.
 
-    Comments, docstrings and layout do not count: the syntax trees are hashed.
+    Comments, docstrings and layout do not count: the syntax trees are hashed. Scripts for the
+    browser that lie in a package count with it, as they stand.
 
     Parameters
     ----------
@@ -46,6 +48,8 @@ def code_digest(module: str, root: Path = _ROOT) -> str:
     digest = hashlib.sha256()
     for path in sorted(seen):
         digest.update(f"{path.relative_to(root).as_posix()}\0{_parsed(path)[0]}\0".encode())
+    for script in sorted(s for path in seen for s in _scripts_beside(path)):
+        digest.update(f"{script.relative_to(root).as_posix()}\0".encode() + script.read_bytes())
     digest.update("\n".join(sorted(versions)).encode())
     return digest.hexdigest()
 
@@ -68,6 +72,10 @@ def _files_of(module: str, root: Path) -> list[Path]:
         else:
             break
     return files
+
+
+def _scripts_beside(path: Path) -> Iterable[Path]:
+    return path.parent.glob("*.js") if path.name == "__init__.py" else ()
 
 
 def _parsed(path: Path) -> tuple[str, tuple[str, ...]]:

@@ -5,15 +5,20 @@ from dataclasses import dataclass
 
 from treadlight.report import html
 
+_WELL_COVERED = 0.9
+# From best to worst; shape and word say it too, not the colour alone.
+LIGHTS = {"good": "good", "look": "look closer", "refused": "refused"}
+
 
 @dataclass(frozen=True)
 class TireCard:
-    """One tire: its link, a picture of its last profile, and (name, value) facts."""
+    """One tire: its link, a picture of its last profile, (name, value) facts, its light."""
 
     tire: str
     link: str | None
     picture: bytes | None
     facts: list[tuple[str, str]]
+    light: str
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,14 @@ class CaptureLine:
     held_out_rms_mm: float | None
     refused: str | None
     warnings: list[str]
+
+    @property
+    def light(self) -> str:
+        """refused, look (a warning, or less than nine tenths of the tread covered) or good."""
+        if self.refused:
+            return "refused"
+        thin = self.coverage is None or self.coverage < _WELL_COVERED
+        return "look" if self.warnings or thin else "good"
 
 
 @dataclass(frozen=True)
@@ -96,7 +109,10 @@ def _card(card: TireCard) -> str:
     name = html.text(f"Tire {card.tire}")
     title = f'<a href="{html.text(card.link)}">{name}</a>' if card.link else name
     picture = html.image(card.picture, f"Height map of tire {card.tire}") if card.picture else ""
-    return f'<div class="card"><strong>{title}</strong>{picture}{html.facts(card.facts)}</div>'
+    light = html.light(card.light, LIGHTS[card.light])
+    return (
+        f'<div class="card"><strong>{title}</strong> {light}{picture}{html.facts(card.facts)}</div>'
+    )
 
 
 def _captures(captures: Sequence[CaptureLine]) -> str:
@@ -107,20 +123,16 @@ def _captures(captures: Sequence[CaptureLine]) -> str:
         "Calibration",
         "Tread covered",
         "Held-out RMS mm",
-        "State",
+        "Quality",
     ]
-    return html.table(
-        head,
-        [
-            [
-                c.id,
-                c.tire,
-                c.mileage,
-                c.calibration,
-                html.percent(c.coverage),
-                html.number(c.held_out_rms_mm, 3),
-                f"refused: {c.refused}" if c.refused else "measured",
-            ]
-            for c in captures
-        ],
+    note = (
+        f"Quality: look closer where there is a warning or less than {html.percent(_WELL_COVERED)}"
+        " of the tread is covered; what was refused says why above."
     )
+    return html.table(head, map(_line, captures)) + html.caption(note)
+
+
+def _line(c: CaptureLine) -> list[str]:
+    rms = html.number(c.held_out_rms_mm, 3)
+    cells = [c.id, c.tire, c.mileage, c.calibration, html.percent(c.coverage), rms]
+    return [*cells, html.Markup(html.light(c.light, LIGHTS[c.light]))]

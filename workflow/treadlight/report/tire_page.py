@@ -1,17 +1,27 @@
-"""A tire's report as one HTML page."""
+"""A tire's report as one HTML page: verdict and warnings first, then what moves, then tables."""
 
-from collections.abc import Sequence
+import importlib.resources
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from treadlight.report import html
+from plotly.offline import get_plotlyjs
 
-_STATUS = {
-    "first": "first capture",
-    "valid": "valid (ASTM F1016)",
-    "indicative": "indicative",
-    "not_detected": "not detected",
-}
+from treadlight.report import html
+from treadlight.report.charts import NOT_DETECTED, Chart, line_style
+from treadlight.report.layers import Layer, colour_scale, layer_data
+from treadlight.report.tables import (
+    IrregularWear,
+    RibRunout,
+    irregular_table,
+    quality_table,
+    repeat_table,
+    runout_table,
+    trend_table,
+)
+
+_MAP_PX = 300
+_LINES = 16
 
 
 @dataclass(frozen=True)
@@ -45,69 +55,131 @@ class TirePage:
 
     Attributes
     ----------
-    tire, size : str
-    nominal_radius_mm : float or None
+    tire : str
+    facts : list of (name, value)
+        Of the tire, beside its captures'.
+    verdict : str
+        One sentence; empty = none.
     captures : list of CaptureFacts
         In order of mileage.
     wear_refused : str or None
     warnings : list of str
         Beside those in the captures' quality.
+    layers : list of Layer
+        Maps of the usable captures.
+    radius_mm : float
+        Of the tread, by which degrees become mm.
     trend : list of dict
         Rows of trend.csv.
-    figures, calibration_figures : list of (png, alt, caption)
+    charts : list of Chart
+        Wear around the turn and over mileage.
+    irregular : list of IrregularWear
+    irregular_notes : list of str
+        What its figures stand on.
+    runout : list of RibRunout
+    void_ratio : list of (capture, share, standard uncertainty)
+    repeats : list of (mileage, region, captures, spread mm, standard uncertainty mm)
+    quality_charts, calibration_charts : list of Chart
     """
 
     tire: str
-    size: str
-    nominal_radius_mm: float | None
+    facts: list[tuple[str, str]]
+    verdict: str
     captures: list[CaptureFacts]
     wear_refused: str | None
     warnings: list[str]
-    trend: list[dict[str, str]]
-    figures: list[tuple[bytes, str, str]] = field(default_factory=list)
-    calibration_figures: list[tuple[bytes, str, str]] = field(default_factory=list)
+    layers: list[Layer] = field(default_factory=list)
+    radius_mm: float = float("nan")
+    trend: list[dict[str, str]] = field(default_factory=list)
+    charts: list[Chart] = field(default_factory=list)
+    irregular: list[IrregularWear] = field(default_factory=list)
+    irregular_notes: list[str] = field(default_factory=list)
+    runout: list[RibRunout] = field(default_factory=list)
+    void_ratio: list[tuple[str, float, float]] = field(default_factory=list)
+    repeats: list[tuple[str, str, int, float, float]] = field(default_factory=list)
+    quality_charts: list[Chart] = field(default_factory=list)
+    calibration_charts: list[Chart] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Section:
+    title: str
+    anchor: str
+    pieces: list[str]
 
 
 def tire_page(content: TirePage) -> str:
     """The document's text; everything in it is escaped."""
-    body = [html.heading(1, f"Tire {content.tire}"), _head(content)]
+    charts = [*content.charts, *content.quality_charts, *content.calibration_charts]
+    sections = [s for s in _sections(content, charts) if s.pieces]
+    body = [html.heading(1, f"Tire {content.tire}")]
+    if content.verdict:
+        body.append(html.paragraph(content.verdict, "verdict"))
     body += _notices(content)
-    body += [html.heading(2, "Captures"), _captures(content.captures)]
-    if content.figures:
-        body.append(html.heading(2, "Profile and wear"))
-        body += [html.image(*figure) for figure in content.figures]
-    if content.trend:
-        body += [html.heading(2, "Ribs and grooves"), _trend(content.trend)]
-        body.append(
-            html.paragraph(
-                "Depth is measured against the groove reference, wear against the first capture;"
-                " \u00b1 is one standard uncertainty of the mean. A rate is valid with three"
-                " intervals or more and R\u00b2 of at least 0.95; wear below two standard"
-                " uncertainties is not detected."
-            )
-        )
-    usable = [c for c in content.captures if not c.refused and "refused" not in c.quality]
-    if usable:
-        body += [html.heading(2, "Quality"), _quality(usable)]
-    if content.calibration_figures:
-        body.append(html.heading(2, "Calibration of the LEDs"))
-        body += [html.image(*figure) for figure in content.calibration_figures]
-    return html.page(f"Tire {content.tire}", body)
+    body += [html.facts(_head(content)), html.links([(s.title, s.anchor) for s in sections])]
+    for section in sections:
+        body += [html.heading(2, section.title, section.anchor), *section.pieces]
+    if not (content.layers or charts):
+        return html.page(f"Tire {content.tire}", body)
+    body.append(html.data("page-data", _data(content, charts)))
+    return html.page(f"Tire {content.tire}", body, [get_plotlyjs(), _own_script()])
 
 
-def _head(content: TirePage) -> str:
-    pairs = [("Captures", str(len(content.captures)))]
-    if content.size:
-        pairs.insert(0, ("Size", content.size))
-    if content.nominal_radius_mm is not None:
-        pairs.append(("Nominal radius", html.number(content.nominal_radius_mm, 1, "mm")))
+def _sections(content: TirePage, charts: list[Chart]) -> list[_Section]:
+    usable = [c for c in content.captures if not c.refused and c.quality]
+    quality = [quality_table([(c.id, c.quality) for c in usable])] if usable else []
+    return [
+        _Section("Height", "height", _height(content.layers)),
+        _Section("Wear", "wear", _wear(content.layers)),
+        _Section("Cross-sections", "cross-sections", _cross_sections(content.layers)),
+        _Section("Three dimensions", "three-dimensions", _surface(content.layers)),
+        _Section("Around the turn and over mileage", "trend", _drawn(content.charts, charts)),
+        _Section("Ribs and grooves", "ribs-and-grooves", _trend(content.trend)),
+        _Section("Irregular wear", "irregular-wear", _irregular(content)),
+        _Section("Runout and void ratio", "runout", _runout(content)),
+        _Section("Repeatability", "repeatability", _repeats(content)),
+        _Section("Captures", "captures", [_captures(content.captures)]),
+        _Section("Quality", "quality", [*quality, *_drawn(content.quality_charts, charts)]),
+        _Section("Calibration", "calibration", _drawn(content.calibration_charts, charts)),
+    ]
+
+
+def _own_script() -> str:
+    source = importlib.resources.files("treadlight.report") / "report.js"
+    return source.read_text(encoding="utf-8")
+
+
+def _data(content: TirePage, charts: Iterable[Chart]) -> dict[str, Any]:
+    layers = content.layers
+    wear = [layer.wear for layer in layers if layer.wear is not None]
+    scales = {
+        # From the floors up; shoulders fall far below them and would take most of the colours.
+        "height": colour_scale([layer.height for layer in layers], "viridis", 99.5),
+        # Below nil is no wear, and what is not detected has its own colour.
+        "wear": colour_scale(wear, "plasma", 98),
+    }
+    return {
+        "layers": [layer_data(layer) for layer in layers],
+        "radius_mm": content.radius_mm if layers else None,
+        "scales": scales,
+        "undetected": NOT_DETECTED,
+        "lines": [line_style(number) for number in range(_LINES)],
+        "charts": [{"data": chart.data, "layout": chart.layout} for chart in charts],
+    }
+
+
+def _head(content: TirePage) -> list[tuple[str, str]]:
+    pairs = [*content.facts, ("Captures", str(len(content.captures)))]
     mileages = [c.mileage for c in content.captures if c.mileage]
     if mileages:
         pairs.append(("Mileages", ", ".join(mileages)))
-    calibrations = sorted({c.calibration for c in content.captures if c.calibration})
-    if calibrations:
-        pairs.append(("Calibration", ", ".join(calibrations)))
-    return html.facts(pairs)
+    for name, values in (
+        ("Rig", [c.rig for c in content.captures]),
+        ("Calibration", [c.calibration for c in content.captures]),
+    ):
+        if any(values):
+            pairs.append((name, ", ".join(sorted(set(filter(None, values))))))
+    return pairs
 
 
 def _notices(content: TirePage) -> list[str]:
@@ -122,6 +194,135 @@ def _notices(content: TirePage) -> list[str]:
     return html.notices(refused, "bad") + html.notices([*content.warnings, *warnings], "warn")
 
 
+def _height(layers: Sequence[Layer]) -> list[str]:
+    if not layers:
+        return []
+    note = (
+        "Height over the groove reference, in the first capture's frame where there is wear; white"
+        " where nothing was measured. Drag to zoom, double-click to zoom out, click to pick the"
+        " angle of the cross-sections."
+    )
+    return [*_maps(layers, "height"), html.caption(note)]
+
+
+def _wear(layers: Sequence[Layer]) -> list[str]:
+    drawn = _maps(layers, "wear")
+    if not drawn:
+        return []
+    note = (
+        f"Radial loss since {layers[0].title}. Grey: not detected, below two standard"
+        " uncertainties of the cell; white: not measured, or a wall. One colour scale for all"
+        " mileages."
+    )
+    return [*drawn, html.caption(note)]
+
+
+def _maps(layers: Sequence[Layer], kind: str) -> list[str]:
+    pieces = []
+    for number, layer in enumerate(layers):
+        if kind == "height" or layer.wear is not None:
+            pieces.append(html.heading(3, layer.title))
+            pieces.append(html.plot("map", _MAP_PX, layer=number, map=kind))
+    return pieces
+
+
+def _cross_sections(layers: Sequence[Layer]) -> list[str]:
+    if not layers:
+        return []
+    first, step = layers[0].theta_deg
+    last = first + step * (len(layers[0].height) - 1)
+    note = "Height at this angle, each mileage over the other; missing where not measured."
+    return [
+        html.picker("theta (\u00b0)", first, last, 0.1),
+        html.plot("sections", 360),
+        html.caption(note),
+    ]
+
+
+def _surface(layers: Sequence[Layer]) -> list[str]:
+    if not layers:
+        return []
+    options = [(f"{k} height", f"{layer.title}: height") for k, layer in enumerate(layers)]
+    options += [
+        (f"{k} wear", f"{layer.title}: wear")
+        for k, layer in enumerate(layers)
+        if layer.wear is not None
+    ]
+    return [
+        html.choice("Show", options, 'id="surface-choice"'),
+        html.plot("surface", 560),
+        html.caption("Drag to turn, scroll to zoom, right-drag to move. Every n-th cell is drawn."),
+    ]
+
+
+def _drawn(shown: Sequence[Chart], all_: Sequence[Chart]) -> list[str]:
+    pieces = []
+    for chart in shown:
+        number = next(k for k, other in enumerate(all_) if other is chart)
+        plot = html.plot("chart", chart.height_px, chart=number)
+        if chart.choices:
+            options = [(name, name) for name in reversed(chart.choices)]
+            plot = html.choice("Show", options, "data-choice") + plot
+        pieces += [
+            html.heading(3, chart.title),
+            f"<figure>{plot}{html.caption(chart.caption)}</figure>",
+        ]
+    return pieces
+
+
+def _trend(rows: Sequence[dict[str, str]]) -> list[str]:
+    if not rows:
+        return []
+    note = (
+        "Depth is measured against the groove reference, wear against the first capture;"
+        " \u00b1 is one standard uncertainty of the mean. CV is the coefficient of variation of"
+        " the depth, the index of irregularity. A rate is valid (ASTM F1016) with three"
+        " intervals or more and R\u00b2 of at least 0.95; wear below two standard"
+        " uncertainties is not detected."
+    )
+    return [trend_table(rows), html.caption(note)]
+
+
+def _irregular(content: TirePage) -> list[str]:
+    if not content.irregular:
+        return []
+    return [
+        irregular_table(content.irregular),
+        *(html.caption(note) for note in content.irregular_notes),
+    ]
+
+
+def _runout(content: TirePage) -> list[str]:
+    pieces = [runout_table(content.runout)] if content.runout else []
+    if content.runout:
+        pieces.append(
+            html.caption(
+                "Amplitudes of the radial harmonics of each rib's tops about the rig's axis. The"
+                " first holds how the tire sat on the hub, too. They need a whole turn."
+            )
+        )
+    rows = [
+        [name, f"{html.number(100 * share, 2)} \u00b1 {html.number(100 * std, 2)}\u202f%"]
+        for name, share, std in content.void_ratio
+    ]
+    if rows:
+        pieces.append(html.table(["Capture", "Void ratio"], rows))
+        pieces.append(
+            html.caption("Area of grooves, slots and sipes over the area of the whole tread.")
+        )
+    return pieces
+
+
+def _repeats(content: TirePage) -> list[str]:
+    if not content.repeats:
+        return []
+    note = (
+        "Captures of one mileage: standard deviation of their mean depths beside the standard"
+        " uncertainty that each claims."
+    )
+    return [repeat_table(content.repeats), html.caption(note)]
+
+
 def _captures(captures: Sequence[CaptureFacts]) -> str:
     head = ["Capture", "Mileage", "Taken", "Rig", "Calibration", "State"]
     return html.table(
@@ -131,91 +332,3 @@ def _captures(captures: Sequence[CaptureFacts]) -> str:
             for c in captures
         ],
     )
-
-
-def _trend(rows: Sequence[dict[str, str]]) -> str:
-    head = [
-        "Region",
-        "Mileage",
-        "Depth mm",
-        "5 to 95 % mm",
-        "Wear \u00b5m",
-        "5 to 95 % \u00b5m",
-        "Rate mm/1000 km",
-        "mils/1000 mi",
-        "R\u00b2",
-        "Projected mileage",
-        "Status",
-    ]
-    order = list(dict.fromkeys(row["region"] for row in rows))
-    ranked = sorted(rows, key=lambda row: order.index(row["region"]))
-    return html.table(head, [_trend_row(row) for row in ranked])
-
-
-def _trend_row(row: dict[str, str]) -> list[str]:
-    def value(name: str, digits: int, factor: float = 1.0) -> str:
-        cell = row.get(name) or ""
-        return html.number(float(cell) * factor if cell else None, digits)
-
-    def interval(low: str, high: str, digits: int, factor: float = 1.0) -> str:
-        ends = value(low, digits, factor), value(high, digits, factor)
-        return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
-
-    projected = value("projected_mileage", 0)
-    if row.get("projected_low") or row.get("projected_high"):
-        projected += f" ({interval('projected_low', 'projected_high', 0)})"
-    return [
-        row["region"],
-        f"{value('mileage', 0)} {row.get('unit', '')}",
-        f"{value('depth_mm', 3)} \u00b1 {value('depth_std_mm', 3)}",
-        interval("depth_p05_mm", "depth_p95_mm", 2),
-        f"{value('wear_mm', 1, 1000)} \u00b1 {value('wear_std_mm', 1, 1000)}",
-        interval("wear_p05_mm", "wear_p95_mm", 0, 1000),
-        value("rate_mm_per_1000km", 3),
-        value("rate_mils_per_1000mi", 2),
-        value("rate_r2", 3),
-        projected,
-        _STATUS.get(row.get("status", ""), row.get("status", "")),
-    ]
-
-
-_QUALITY = (
-    ("Coverage of the tread", ("coverage", "tread"), "%"),
-    ("Coverage of the ribs", ("coverage", "rib"), "%"),
-    ("Coverage of the grooves", ("coverage", "groove"), "%"),
-    ("Laser points", ("laser_points",), 0),
-    ("Held-out laser points", ("held_out_laser_mm", "n"), 0),
-    ("Held-out bias (mm)", ("held_out_laser_mm", "bias"), 3),
-    ("Held-out RMS (mm)", ("held_out_laser_mm", "rms"), 3),
-    ("of it the laser's own (mm)", ("held_out_laser_mm", "laser_std"), 3),
-    ("of it the surface's (mm)", ("held_out_laser_mm", "shape_rms"), 3),
-    ("Frame, radial (mm)", ("frame_std", "radial_mm"), 3),
-    ("Frame, axial (mm)", ("frame_std", "axial_mm"), 3),
-    ("Frame, tilt (rad)", ("frame_std", "tilt_rad"), 5),
-    ("Closure of the turn (mm)", ("closure_mm",), 3),
-    ("Rerendering error, median", ("normal_residual", "median"), "%"),
-    ("Rerendering error, 95 %", ("normal_residual", "p95"), "%"),
-)
-
-
-def _quality(captures: Sequence[CaptureFacts]) -> str:
-    rows = [
-        [name, *(_figure(c.quality, path, shown) for c in captures)]
-        for name, path, shown in _QUALITY
-    ]
-    flags = sorted({name for c in captures for name in c.quality.get("flags") or {}})
-    rows += [
-        [
-            f"Cells: {name}",
-            *(html.percent((c.quality.get("flags") or {}).get(name)) for c in captures),
-        ]
-        for name in flags
-    ]
-    return html.table(["Figure", *(c.id for c in captures)], rows)
-
-
-def _figure(quality: dict[str, Any], path: tuple[str, ...], shown: int | str) -> str:
-    value: Any = quality
-    for name in path:
-        value = value.get(name) if isinstance(value, dict) else None
-    return html.percent(value) if isinstance(shown, str) else html.number(value, shown)

@@ -62,3 +62,55 @@ def runout_basis(theta: np.ndarray, z: np.ndarray, orders: int) -> np.ndarray:
 
 def _first_harmonic(theta: np.ndarray) -> np.ndarray:
     return np.column_stack([np.cos(theta), np.sin(theta)])
+
+
+@dataclass(frozen=True)
+class RadialHarmonics:
+    """Radial runout of one rib around a whole turn.
+
+    Attributes
+    ----------
+    amplitude_mm : (n,) float64
+        Of the orders 1..n.
+    std_mm : float
+        Standard uncertainty of each.
+    peak_to_peak_mm : float
+        Of the sum of these orders.
+    """
+
+    amplitude_mm: np.ndarray
+    std_mm: float
+    peak_to_peak_mm: float
+
+
+def radial_harmonics(theta: np.ndarray, r: np.ndarray, orders: int) -> RadialHarmonics | None:
+    """Fourier amplitudes of a radius around the turn, by least squares over what is known.
+
+    Parameters
+    ----------
+    theta : (n,) float
+        rad.
+    r : (n,) float
+        mm; NaN = missing.
+    orders : int
+
+    Returns
+    -------
+    RadialHarmonics or None
+        None unless nine in ten of as many sectors of the turn as have to be told apart hold
+        something.
+    """
+    known = np.isfinite(r)
+    sectors = 4 * orders
+    seen = np.unique(np.floor((theta[known] % (2 * np.pi)) / (2 * np.pi) * sectors))
+    if len(seen) < 0.9 * sectors:
+        return None
+    angles = np.outer(theta, np.arange(1, orders + 1))
+    basis = np.column_stack([np.ones(len(theta)), np.cos(angles), np.sin(angles)])
+    found, *_ = np.linalg.lstsq(basis[known], r[known], rcond=None)
+    waves = basis[:, 1:] @ found[1:]
+    residual = r[known] - basis[known] @ found
+    free = max(1, known.sum() - len(found))
+    std = np.sqrt(residual @ residual / free * 2 / known.sum())
+    amplitude = np.hypot(found[1 : orders + 1], found[orders + 1 :])
+    return RadialHarmonics(amplitude, float(std), float(np.ptp(waves)))

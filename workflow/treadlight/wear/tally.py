@@ -48,15 +48,24 @@ class Tally:
 
     def mean_and_spread(self) -> tuple[float, float]:
         """Mean and standard deviation of the cells within four robust sigmas of the median."""
-        low, median, high = self.quantiles((0.1587, 0.5, 0.8413))
-        if not np.isfinite(median):
+        weights, values = self._near()
+        if not weights.sum():
             return np.nan, np.nan
+        mean = float(np.average(values, weights=weights))
+        return mean, float(np.sqrt(np.average((values - mean) ** 2, weights=weights)))
+
+    def least(self) -> float:
+        """The lowest of the cells within four robust sigmas of the median; NaN of nothing."""
+        weights, values = self._near()
+        return float(values[weights > 0].min(initial=np.inf)) if weights.sum() else np.nan
+
+    def _near(self) -> tuple[np.ndarray, np.ndarray]:
+        """Counts and values of the bins within four robust sigmas of the median."""
+        low, median, high = self.quantiles((0.1587, 0.5, 0.8413))
         reach = _CLIP_SIGMAS * max(0.5 * (high - low), 2 * _BIN_MM)
         values = _LOW_MM + (np.arange(_BINS) + 0.5) * _BIN_MM
         near = np.abs(values - median) <= reach
-        weights, values = self.counts[near], values[near]
-        mean = float(np.average(values, weights=weights))
-        return mean, float(np.sqrt(np.average((values - mean) ** 2, weights=weights)))
+        return self.counts[near], values[near]
 
     def std_of_mean(self, share: float) -> float:
         """Standard uncertainty of the mean, from its tiles: within them errors go together.

@@ -41,6 +41,7 @@ COLUMNS = (
     "projected_low",
     "projected_high",
     "status",
+    "depth_min_mm",
 )
 
 
@@ -140,6 +141,7 @@ def _depth_columns(
         "depth_p50_mm": p50,
         "depth_p95_mm": p95,
         "depth_cov": spread / mean if mean > 0 else np.nan,
+        "depth_min_mm": tally.depth.least(),
     }
 
 
@@ -206,19 +208,28 @@ def _status(number: int, wear: dict[str, float], rate: Rate) -> str:
 def _projection(
     status: str, km: float, depth: dict[str, float], rate: Rate, limit_mm: float
 ) -> dict[str, float]:
-    """km at which the depth reaches the limit, at the rate and at two sigma to either side."""
     names = ("projected_mileage", "projected_low", "projected_high")
-    left = depth["depth_mm"] - limit_mm
-    if status not in ("valid", "indicative") or not (rate.mm_per_km > 0 and np.isfinite(left)):
+    if status not in ("valid", "indicative"):
         return dict.fromkeys(names, np.nan)
-    margin = _SIGMAS * depth["depth_std_mm"]
+    found = project(km, depth["depth_mm"], depth["depth_std_mm"], rate, limit_mm)
+    return dict(zip(names, found, strict=True))
+
+
+def project(
+    km: float, depth_mm: float, depth_std_mm: float, rate: Rate, limit_mm: float
+) -> tuple[float, float, float]:
+    """km at which the depth reaches the limit, at the rate and at two sigma to either side.
+
+    NaN without a positive rate; a rate that may be nil has no upper end.
+    """
+    left = depth_mm - limit_mm
+    if not (rate.mm_per_km > 0 and np.isfinite(left)):
+        return np.nan, np.nan, np.nan
+    margin = _SIGMAS * depth_std_mm
     slow = rate.mm_per_km - _SIGMAS * rate.std_mm_per_km
     fast = rate.mm_per_km + _SIGMAS * rate.std_mm_per_km
-    middle = km + max(left, 0.0) / rate.mm_per_km
-    low = km + max(left - margin, 0.0) / fast
-    # A rate that may be nil has no upper end.
     high = km + max(left + margin, 0.0) / slow if slow > 0 else np.nan
-    return dict(zip(names, (middle, low, high), strict=True))
+    return km + max(left, 0.0) / rate.mm_per_km, km + max(left - margin, 0.0) / fast, high
 
 
 def csv_text(rows: Sequence[Mapping[str, str | float]]) -> str:
