@@ -33,7 +33,7 @@ def main() -> None:
     # Of all views the middle one.
     number = sorted(capture.views)[len(capture.views) // 2]
     rig = store.read_rig(args.calibration)
-    view = command.read_view(capture, number, rig, args.illumination)
+    view, _ = command.read_view(capture, number, rig, args.illumination)
     observations = observe(view, args.surface)
     maps = {
         name: method(observations).residual.reshape(view.intensity.shape[1:])

@@ -158,6 +158,7 @@ class _Sample:
         from treadlight.commands.photometric_stereo import read_frames
         from treadlight.evaluate.truth import read_true_profile, read_true_rig
         from treadlight.geometry import CylinderGrid
+        from treadlight.photometric.noise import dark_noise
 
         capture = read_capture(folder)
         self.rig = read_true_rig(folder / "truth" / "rig.yaml")
@@ -168,7 +169,9 @@ class _Sample:
         self.grid = CylinderGrid(profile.theta, profile.z, capture.tire.nominal_radius_mm)
         self.r = profile.r
         frames = list(capture.view(0))
-        intensity, noise = read_frames(capture, frames)
+        frames, intensity, left_out = read_frames(capture, frames)
+        assert not left_out
+        noise = np.array([dark_noise(frame) for frame in intensity])
         self.view = View(
             np.ascontiguousarray(intensity[:, self.rows, self.columns]), noise,
             tuple(range(16)), self, self._camera(), self.rig.axis,

@@ -169,9 +169,8 @@ class _Case:
 
         name = f"fov{number:02d}"
         settings = common.recorded_settings(self.products / "photometric.zarr" / name)
-        left_out = photometry.doubtful_frames(self.capture, number)
         illumination = self.calibration / "illumination.zarr"
-        view = photometry.read_view(self.capture, number, rig, illumination, left_out)
+        view, _ = photometry.read_view(self.capture, number, rig, illumination)
         grid = photometry.grid_of(self.surface)
         r, r_std = (self.surface[n].to_numpy() for n in ("r", "r_std"))
         found = solve_view(view, grid, r, r_std, PhotometrySettings(**settings))

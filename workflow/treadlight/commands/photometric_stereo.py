@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 from treadlight.commands import common
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import numpy as np
     import xarray as xr
 
@@ -59,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         rig = store.read_rig(args.calibration)
-        left_out = doubtful_frames(capture, args.view)
-        view = read_view(capture, args.view, rig, args.illumination, left_out)
+        view, warnings = read_view(capture, args.view, rig, args.illumination)
         surface = store.open_store(args.surface)
         grid = grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
@@ -77,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
             part["r_std"].to_numpy(),
             settings,
         )
-        dataset = _with_light(dataset_of(found), view, list(left_out.values()))
+        dataset = _with_light(dataset_of(found), view, warnings)
         store.write_store(out, dataset, title=title, source=capture.id)
 
     return common.run_stage(
@@ -101,43 +98,27 @@ def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
     )
 
 
-def doubtful_frames(capture: "Capture", number: int) -> dict[str, str]:
-    """Frames of a view that are damaged, dark, blinded or moved: why, by file."""
-    from treadlight.errors import CaptureError
-    from treadlight.images import FrameReader, doubts
-
-    reader = FrameReader(capture)
-    found, looks = {}, {}
-    for frame in capture.view(number):
-        try:
-            looks[frame.file] = doubts.look_at(reader.read(frame))
-        except CaptureError as error:
-            found[frame.file] = str(error)
-    return found | doubts.doubts_of_view(looks, capture.laser_scan)
-
-
 def read_view(
-    capture: "Capture",
-    number: int,
-    rig: "Rig",
-    illumination: Path,
-    left_out: "Mapping[str, str] | None" = None,
-) -> "View":
+    capture: "Capture", number: int, rig: "Rig", illumination: Path
+) -> "tuple[View, list[str]]":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
 
-    `left_out` names the files of frames that do not count, and why.
+    The second is why frames are left out: damaged, dark, blinded or moved, a sentence each.
 
     Raises
     ------
     CalibrationError
         The rotation axis or the LEDs are not calibrated.
     CaptureError
-        There is no such view, too few of its frames can be used, or one is damaged.
+        There is no such view, or too few of its frames can be used.
     """
     import math
 
+    import numpy as np
+
     from treadlight import store
     from treadlight.errors import CalibrationError, CaptureError
+    from treadlight.photometric.noise import dark_noise
     from treadlight.photometric.observations import MIN_LEDS
     from treadlight.photometric.view import View
 
@@ -158,32 +139,43 @@ def read_view(
         )
     light = store.read_illumination(illumination, rig)
     index = {led.number: k for k, led in enumerate(light.leds)}
-    left_out = left_out or {}
-    frames = [f for f in capture.view(number) if f.led in index and f.file not in left_out]
+    wanted = [f for f in capture.view(number) if f.led in index]
+    frames, intensity, left_out = read_frames(capture, wanted)
     if len(frames) < MIN_LEDS:
         raise CaptureError(
             f"{capture.id}, view {number}: {len(frames)} of its LED frames have a calibrated LED."
             f" Specular photometric stereo needs {MIN_LEDS}; add frames or calibrate more LEDs."
             + "".join(f" {sentence}" for sentence in left_out.values())
         )
-    intensity, noise = read_frames(capture, frames)
-    return View(
+    view = View(
         intensity=intensity,
-        noise=noise,
+        noise=np.array([dark_noise(frame) for frame in intensity]),
         leds=tuple(index[f.led] for f in frames if f.led is not None),
         light=light,
         camera=rig.camera,
         axis=rig.axis,
         encoder=math.radians(frames[0].encoder_deg or 0.0),
     )
+    return view, list(left_out.values())
 
 
-def read_frames(capture: "Capture", frames: "list[Frame]") -> tuple["np.ndarray", "np.ndarray"]:
-    """Intensity over exposure (n_leds, h, w), NaN where saturated, and its noise in the dark."""
+def read_frames(
+    capture: "Capture", frames: "list[Frame]"
+) -> "tuple[list[Frame], np.ndarray, dict[str, str]]":
+    """Frames of a view that show what they should, as light, each decoded once.
+
+    Returns
+    -------
+    kept : list of Frame
+    intensity : (n_kept, h, w) float32
+        Over exposure; NaN where saturated.
+    left_out : dict of str to str
+        Why the others are damaged, dark, blinded or moved, by file.
+    """
     import numpy as np
 
-    from treadlight.images import FrameReader
-    from treadlight.photometric.noise import dark_noise
+    from treadlight.errors import CaptureError
+    from treadlight.images import FrameReader, doubts
 
     reader = FrameReader(capture)
     width, height = capture.encoding.size_px
@@ -191,10 +183,20 @@ def read_frames(capture: "Capture", frames: "list[Frame]") -> tuple["np.ndarray"
     known = [f.exposure_s for f in frames if f.exposure_s]
     # An exposure that is not known makes all of the view count as equal.
     exposures = known if len(known) == len(frames) else [1.0] * len(frames)
+    left_out, looks = {}, {}
     for m, (frame, exposure) in enumerate(zip(frames, exposures, strict=True)):
-        linear = reader.read(frame)
+        try:
+            linear = reader.read(frame)
+        except CaptureError as error:
+            left_out[frame.file] = str(error)
+            continue
+        looks[frame.file] = doubts.look_at(linear)
         intensity[m] = np.where(linear.saturated, np.nan, linear.intensity / np.float32(exposure))
-    return intensity, np.array([dark_noise(frame) for frame in intensity])
+    left_out |= doubts.doubts_of_view(looks, capture.laser_scan)
+    kept = [m for m, frame in enumerate(frames) if frame.file not in left_out]
+    if len(kept) < len(frames):
+        intensity = intensity[kept]
+    return [frames[m] for m in kept], intensity, left_out
 
 
 def _with_light(dataset: "xr.Dataset", view: "View", warnings: list[str]) -> "xr.Dataset":
