@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench-photometry bench-speed lint format lock clean
+.PHONY: help setup demo test bench-laser bench-photometry bench-speed lint format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -31,6 +31,10 @@ demo: setup ## Make the demo archive (once), process it, say where the result pa
 
 test: setup ## Run all tests, with coverage
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
+
+bench-laser: setup ## The laser line's detector beside four others (figures in build/)
+	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
+	  $(BIN)/python tests/benchmarks/laser/study.py --shared ../shared --out build/bench-laser
 
 bench-photometry: setup ## Every estimator of normals on renders, photographs and a tire (figures in build/)
 	sh tests/benchmarks/photometry/povray.sh

@@ -280,8 +280,7 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
     Returns
     -------
     (lines,) float64
-        NaN where a neighbour is missing or strays from the fit by more than half a sigma, as
-        it does at steps.
+        NaN where half of the neighbours are missing or one strays from the fit, as at steps.
     """
     skip = max(1, math.ceil(sigma_px))
     reach = skip + _COURSE_ROWS
@@ -291,10 +290,15 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
         return course
     windows = np.lib.stride_tricks.sliding_window_view(u, 2 * reach + 1)
     around = windows[:, offsets + reach]
-    mean = around.mean(axis=1)
-    slope = around @ offsets / float(offsets @ offsets)
-    residual = around - mean[:, None] - slope[:, None] * offsets
-    spread = np.abs(residual).max(axis=1)
+    known = np.isfinite(around).astype(float)
+    filled = np.nan_to_num(around)
+    count, x, xx = known.sum(axis=1), known @ offsets, known @ offsets**2
+    y, xy = filled.sum(axis=1), filled @ offsets
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (xx * y - x * xy) / (count * xx - x**2)
+        slope = (count * xy - x * y) / (count * xx - x**2)
+    residual = known * (filled - mean[:, None] - slope[:, None] * offsets)
+    spread = np.where(count < _COURSE_ROWS, np.inf, np.abs(residual).max(axis=1))
     inside = u[reach:-reach]
     good = (spread < max(sigma_px, 1.0)) & (np.abs(inside - mean) < max(sigma_px, 1.0))
     course[reach:-reach] = np.where(good, mean, np.nan)
