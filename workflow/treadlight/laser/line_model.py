@@ -33,7 +33,7 @@ _WIDTH_LINES = 16_000
 _UNDERSAMPLED_SIGMA_PX = 0.75
 # Such a line is smoothed to this sigma (0.1 % at Nyquist).
 _SAMPLED_SIGMA_PX = 1.2
-# The mean line is drawn this far from its middle, in the sigma of the round before.
+# The median line is drawn this far from its middle, in the sigma of the round before.
 _PROFILE_REACH_SIGMA = 8.0
 # Its light is gathered in bins that tell the places in a pixel apart.
 _BINS_PER_PX = 4
@@ -96,7 +96,8 @@ def _gaussian_model(
 ) -> LineModel:
     """Derivative of a Gaussian of twice the line's sigma, of sigma itself for a blurred line."""
     node_px = max(0.5 * sigma_px, 0.5)
-    count = max(3, math.ceil(_REACH_SIGMA * sigma_px / node_px))
+    # Rounded, since 3.0000000000000004 nodes are no fourth.
+    count = max(3, math.ceil(round(_REACH_SIGMA * sigma_px / node_px, 6)))
     at = node_px * np.arange(1, count + 1)
     # Cut off where it is not yet small, a filter would feel each pixel come and go.
     scale = sigma_px if blur_px else 2 * sigma_px
@@ -112,12 +113,13 @@ def _measure_shape(
 ) -> tuple[float, float, float]:
     """Sigma of the line, px, and the spreads of ln(width) and of skew.
 
-    Sigma is that of the mean over the rows, each taken about the course of the line: within a
-    row speckle breaks the line into grains, and the half-width found there is a grain's.
+    Sigma is that of the median over the rows, each taken about the course of the line: within a
+    row speckle breaks the line into grains, and the half-width found there is a grain's. A factor
+    on the light leaves the median's shape as it is, rows at steps and reflections hardly widen it.
     """
     widths, skews = [], []
     reach = math.ceil(_PROFILE_REACH_SIGMA * model.sigma_px)
-    light = np.zeros((2, 2 * reach * _BINS_PER_PX))
+    bins, light = [], []
     for intensity, saturated in frames:
         found = detect_section(intensity, saturated, model)
         # Told from the rows around, since a row's own is that of its brightest grain.
@@ -129,13 +131,17 @@ def _measure_shape(
         bright = known & (strength >= np.median(strength[known])) if known.any() else known
         widths.append(found.width[bright, 0])
         skews.append(found.skew[bright, 0])
-        light += _light_about(intensity[bright], course[bright], strength[bright], reach)
+        pixels = _light_about(intensity[bright], course[bright], strength[bright], reach)
+        bins.append(pixels[0])
+        light.append(pixels[1])
     width, skew = np.concatenate(widths), np.concatenate(skews)
     if not len(width):
         raise CaptureError(
             "The laser frames show no line above the noise. Check exposure and laser.channel."
         )
-    sigma = max(0.5, _mean_sigma(light, model.sigma_px))
+    sigma = max(
+        0.5, _median_sigma(np.concatenate(bins), np.concatenate(light), reach, model.sigma_px)
+    )
     off = np.abs(np.log(np.maximum(width, 1e-3) / sigma))
     return sigma, 1.4826 * float(np.median(off)), 1.4826 * float(np.median(np.abs(skew)))
 
@@ -161,10 +167,10 @@ def _median_around(values: np.ndarray, sigma_px: float) -> np.ndarray:
 
 def _light_about(
     rows: np.ndarray, course: np.ndarray, strength: np.ndarray, reach: int
-) -> np.ndarray:
-    """Sum of the light over its row's strength, and how many pixels, by offset from the course.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The bin of each pixel within `reach` px of the course, and its light over its row's strength.
 
-    (2, bins): an offset below `reach` px has a bin of its own every 1 / _BINS_PER_PX px.
+    Bins of 1 / _BINS_PER_PX px are counted from `reach` px to the left.
     """
     columns = np.rint(course).astype(int)[:, None] + np.arange(-reach, reach + 1)
     bins = np.floor((columns - course[:, None] + reach) * _BINS_PER_PX).astype(int)
@@ -172,20 +178,18 @@ def _light_about(
     inside = (columns >= 0) & (columns < rows.shape[1]) & (bins >= 0) & (bins < count)
     line = np.broadcast_to(np.arange(len(rows))[:, None], columns.shape)[inside]
     light = rows[line, columns[inside]] / strength[line]
-    return np.stack(
-        [np.bincount(bins[inside], weight, count) for weight in (light, np.ones(len(light)))]
-    )
+    return bins[inside], light
 
 
-def _mean_sigma(light: np.ndarray, sigma_px: float) -> float:
-    """Full width at half maximum of the mean profile over 2.355, px."""
-    bins = light.shape[1]
-    filled = light[1] > 0
-    at = ((np.arange(bins) + 0.5) / _BINS_PER_PX - bins / (2 * _BINS_PER_PX))[filled]
-    mean = light[0, filled] / light[1, filled]
+def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: float) -> float:
+    """Full width at half maximum of the median profile over 2.355, px."""
+    order = np.lexsort((light, bins))
+    filled, first, count = np.unique(bins[order], return_index=True, return_counts=True)
+    at = (filled + 0.5) / _BINS_PER_PX - reach
+    median = light[order][first + count // 2]
     # A line that stays at one place in its pixel fills one bin in four.
     offset = np.linspace(at[0], at[-1], 16 * len(filled))
-    profile = np.interp(offset, at, mean)
+    profile = np.interp(offset, at, median)
     top = float(profile[np.abs(offset) <= 0.25 * sigma_px].mean())
     return float(np.mean(profile > 0.5 * top) * (at[-1] - at[0])) / FWHM
 
