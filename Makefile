@@ -7,7 +7,8 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo browser test test-faults test-repro bench-photometry bench-speed lint format lock clean
+.PHONY: help setup demo browser test test-faults test-repro bench-laser bench-photometry bench-speed lint \
+  format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -40,6 +41,10 @@ test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (
 
 test-repro: setup ## Two fresh clones, on one core and on two, give the same digests
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tests/faults/repro.py
+
+bench-laser: setup ## The laser line's detector beside four others (figures in build/)
+	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
+	  $(BIN)/python tests/benchmarks/laser/study.py --shared ../shared --out build/bench-laser
 
 bench-photometry: setup ## Every estimator of normals on renders, photographs and a tire (figures in build/)
 	sh tests/benchmarks/photometry/povray.sh

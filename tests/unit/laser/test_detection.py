@@ -60,6 +60,19 @@ def test_line_width_is_measured_not_assumed(stripes, rng):
         assert learn_line_model(frames).sigma_px == pytest.approx(sigma, rel=0.2)
 
 
+@pytest.mark.parametrize("sigma", [2.0, 4.0])
+def test_strong_speckle_does_not_make_the_line_look_narrow(stripes, rng, sigma):
+    """Grains of full contrast, as of a laser on rubber: a row's brightest is not the line."""
+    truth = [course(rng) for _ in range(6)]
+    frames = [stripes(u, sigma=sigma, speckle=1.0, rng=rng) for u in truth]
+    model = learn_line_model(frames)
+    assert model.sigma_px == pytest.approx(sigma, rel=0.1)
+    u = np.concatenate(truth)
+    error = np.concatenate([detect_section(*frame, model).u[:, 0] for frame in frames]) - u
+    plain = np.concatenate([half_maximum_centroid(frame[0]) for frame in frames]) - u
+    assert np.sqrt(np.nanmean(error**2)) < 0.5 * np.sqrt(np.mean(plain**2))
+
+
 def test_line_centre_is_unbiased_under_saturation(stripes, rng):
     """A clipped stripe moves the estimate by less than 0.01 px on average."""
     truth = [course(rng) for _ in range(4)]

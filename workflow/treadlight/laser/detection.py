@@ -26,11 +26,13 @@ _RIVAL_SHARE = 0.2
 # Shapes within this many standard deviations of the usual one are not odd.
 _ODD_SIGMA = 2.0
 # Full width at half maximum of a Gaussian, in sigmas.
-_FWHM = 2.3548
+FWHM = 2.3548
 # The core of the line: filters of this many nodes (1.5 sigma) see nothing of its flanks.
 _CORE_NODES = 3
 # Wide and core filter may differ by this many standard deviations of the core's.
 _DISAGREEMENT_SIGMA = 3.0
+# Smoothing along the rows ends there: further out a bright row would light a dark one.
+_ROW_REACH_SIGMA = 2.0
 # Peaks closer than this many line sigmas are one peak: two equal Gaussians merge at 2 sigma.
 _RESOLVED_SIGMA = 2.0
 
@@ -125,7 +127,7 @@ def smooth_frame(intensity: np.ndarray, model: LineModel) -> np.ndarray:
 
 
 def _blur(intensity: np.ndarray, sigma_u: float, sigma_v: float) -> np.ndarray:
-    size = (2 * math.ceil(4 * sigma_u) + 1, 2 * math.ceil(4 * sigma_v) + 1)
+    size = (2 * math.ceil(4 * sigma_u) + 1, 2 * math.ceil(_ROW_REACH_SIGMA * sigma_v) + 1)
     image = np.ascontiguousarray(intensity, np.float32)
     return cv2.GaussianBlur(
         image, size, max(sigma_u, 1e-6), sigmaY=max(sigma_v, 1e-6), borderType=cv2.BORDER_REPLICATE
@@ -173,7 +175,7 @@ def _misshape(width: np.ndarray, skew: np.ndarray, model: LineModel) -> np.ndarr
     with np.errstate(invalid="ignore", divide="ignore"):
         odd = np.abs(np.log(width / model.sigma_px)) - _ODD_SIGMA * model.width_spread
         lopsided = np.abs(skew) - _ODD_SIGMA * model.skew_spread
-    half = 0.5 * _FWHM * model.sigma_px
+    half = 0.5 * FWHM * model.sigma_px
     return half * np.hypot(np.maximum(odd, 0), np.maximum(lopsided, 0))
 
 
@@ -391,14 +393,17 @@ def refine_peaks(
             if at < 0:
                 break
             clear = min(float(at), float(w - 1 - at))
+            search = 1.5 * sigma_px
             for other in range(shape[1]):
                 rival = found[v, other]
                 if rival < 0 or other == k or row[rival] < _RIVAL_SHARE * row[at]:
                     continue
-                clear = min(clear, 0.5 * abs(rival - at))
+                half = 0.5 * abs(rival - at)
+                clear = min(clear, half)
+                search = min(search, 0.5 * half)
             nodes = min(all_nodes, max(_CORE_NODES, int(clear / node_px) - 1))
             centre, spread = _best_crossing(
-                row, float(at), weights, std_px, nodes, node_px, 1.5 * sigma_px, noise
+                row, float(at), weights, std_px, nodes, node_px, search, noise
             )
             if np.isnan(centre):
                 continue
@@ -407,7 +412,7 @@ def refine_peaks(
             right = _half_width(row, centre, level, 1)
             u_out[v, kept] = centre
             std_out[v, kept] = spread
-            width_out[v, kept] = (left + right) / _FWHM
+            width_out[v, kept] = (left + right) / FWHM
             strength_out[v, kept] = row[at]
             skew_out[v, kept] = (left - right) / max(left + right, 1e-6)
             reach = max(1, int(sigma_px))

@@ -11,6 +11,7 @@ from scipy.optimize import nnls
 
 from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
+    FWHM,
     LineModel,
     detect_section,
     estimate_noise,
@@ -22,11 +23,22 @@ from treadlight.laser.detection import (
 _REACH_SIGMA = 3.0
 # Until the line is known, one as narrow as a lens can draw is looked for.
 _SEED_SIGMA_PX = 1.0
+# The width has settled when a round changes it by less than this share, mostly the third does.
+_SETTLED = 0.02
+_MOST_ROUNDS = 8
+# So many lines or up to twice as many tell the width.
+_WIDTH_LINES = 16_000
 # Below this sigma a Gaussian line keeps over 6 % of its contrast at the pixels' Nyquist frequency:
 # it is undersampled, and what a sharp filter finds would hang on where in its pixel the line is.
 _UNDERSAMPLED_SIGMA_PX = 0.75
 # Such a line is smoothed to this sigma (0.1 % at Nyquist).
 _SAMPLED_SIGMA_PX = 1.2
+# The median line is drawn this far from its middle, in the sigma of the round before.
+_PROFILE_REACH_SIGMA = 8.0
+# Its light is gathered in bins that tell the places in a pixel apart.
+_BINS_PER_PX = 4
+# A row's place in it is the median of so many rows either side, and one more per pixel of sigma.
+_MEDIAN_ROWS = 5
 # The line's course over this many rows either side tells where a row's line should be.
 _COURSE_ROWS = 10
 # Each of the filter's unknowns wants this many rows before its noise can be told.
@@ -61,10 +73,15 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
     """
     noise = float(np.median([estimate_noise(intensity) for intensity, _ in frames]))
     sigma = _SEED_SIGMA_PX
-    # Wide lines are seen broken into speckles by a narrow filter: three rounds grow into them.
-    for _ in range(3):
+    # Of large frames a few hold lines enough.
+    few = frames[:: max(1, sum(len(intensity) for intensity, _ in frames) // _WIDTH_LINES)]
+    # Wide lines are seen broken into speckles by a narrow filter: it grows into them.
+    for _ in range(_MOST_ROUNDS):
         model = _gaussian_model(sigma, 0.0, np.inf, np.inf, noise)
-        sigma, width_spread, skew_spread = _measure_shape(frames, model)
+        before = sigma
+        sigma, width_spread, skew_spread = _measure_shape(few, model)
+        if abs(math.log(sigma / before)) < _SETTLED:
+            break
     narrow = sigma < _UNDERSAMPLED_SIGMA_PX
     blur = math.sqrt(_SAMPLED_SIGMA_PX**2 - sigma**2) if narrow else 0.0
     model = _gaussian_model(math.hypot(sigma, blur), blur, width_spread, skew_spread, noise)
@@ -79,7 +96,8 @@ def _gaussian_model(
 ) -> LineModel:
     """Derivative of a Gaussian of twice the line's sigma, of sigma itself for a blurred line."""
     node_px = max(0.5 * sigma_px, 0.5)
-    count = max(3, math.ceil(_REACH_SIGMA * sigma_px / node_px))
+    # Rounded, since 3.0000000000000004 nodes are no fourth.
+    count = max(3, math.ceil(round(_REACH_SIGMA * sigma_px / node_px, 6)))
     at = node_px * np.arange(1, count + 1)
     # Cut off where it is not yet small, a filter would feel each pixel come and go.
     scale = sigma_px if blur_px else 2 * sigma_px
@@ -93,25 +111,88 @@ def _gaussian_model(
 def _measure_shape(
     frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel
 ) -> tuple[float, float, float]:
-    """Sigma of the line, px, and the spreads of ln(width) and of skew."""
+    """Sigma of the line, px, and the spreads of ln(width) and of skew.
+
+    Sigma is that of the median over the rows, each taken about the course of the line: within a
+    row speckle breaks the line into grains, and the half-width found there is a grain's. A factor
+    on the light leaves the median's shape as it is, rows at steps and reflections hardly widen it.
+    """
     widths, skews = [], []
+    reach = math.ceil(_PROFILE_REACH_SIGMA * model.sigma_px)
+    bins, light = [], []
     for intensity, saturated in frames:
         found = detect_section(intensity, saturated, model)
-        strength = found.strength[:, 0]
+        # Told from the rows around, since a row's own is that of its brightest grain.
+        course, strength = (
+            _median_around(values[:, 0], model.sigma_px) for values in (found.u, found.strength)
+        )
         # Only the brighter half: dim rows are oblique, blurred or haze.
         known = np.isfinite(strength)
         bright = known & (strength >= np.median(strength[known])) if known.any() else known
         widths.append(found.width[bright, 0])
         skews.append(found.skew[bright, 0])
+        pixels = _light_about(intensity[bright], course[bright], strength[bright], reach)
+        bins.append(pixels[0])
+        light.append(pixels[1])
     width, skew = np.concatenate(widths), np.concatenate(skews)
     if not len(width):
         raise NoLineError(
             "The laser frames show no line above the noise, as if the laser was off. Check"
             " exposure and laser.channel."
         )
-    sigma = max(0.5, float(np.median(width)))
+    sigma = max(
+        0.5, _median_sigma(np.concatenate(bins), np.concatenate(light), reach, model.sigma_px)
+    )
     off = np.abs(np.log(np.maximum(width, 1e-3) / sigma))
     return sigma, 1.4826 * float(np.median(off)), 1.4826 * float(np.median(np.abs(skew)))
+
+
+def _median_around(values: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Median of the rows around each (lines,), but those its speckle reaches; it keeps steps.
+
+    NaN where the row has no value; its own where none around has one.
+    """
+    skip = math.ceil(sigma_px)
+    reach = 2 * skip + _MEDIAN_ROWS
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(values.astype(float), reach, constant_values=np.nan), 2 * reach + 1
+    )
+    sides = np.abs(np.arange(-reach, reach + 1)) > skip
+    known = np.isfinite(values)
+    around = windows[known][:, sides]
+    some = np.isfinite(around).any(axis=1)
+    medians = values.astype(float)
+    medians[np.flatnonzero(known)[some]] = np.nanmedian(around[some], axis=1)
+    return medians
+
+
+def _light_about(
+    rows: np.ndarray, course: np.ndarray, strength: np.ndarray, reach: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The bin of each pixel within `reach` px of the course, and its light over its row's strength.
+
+    Bins of 1 / _BINS_PER_PX px are counted from `reach` px to the left.
+    """
+    columns = np.rint(course).astype(int)[:, None] + np.arange(-reach, reach + 1)
+    bins = np.floor((columns - course[:, None] + reach) * _BINS_PER_PX).astype(int)
+    count = 2 * reach * _BINS_PER_PX
+    inside = (columns >= 0) & (columns < rows.shape[1]) & (bins >= 0) & (bins < count)
+    line = np.broadcast_to(np.arange(len(rows))[:, None], columns.shape)[inside]
+    light = rows[line, columns[inside]] / strength[line]
+    return bins[inside], light
+
+
+def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: float) -> float:
+    """Full width at half maximum of the median profile over 2.355, px."""
+    order = np.lexsort((light, bins))
+    filled, first, count = np.unique(bins[order], return_index=True, return_counts=True)
+    at = (filled + 0.5) / _BINS_PER_PX - reach
+    median = light[order][first + count // 2]
+    # A line that stays at one place in its pixel fills one bin in four.
+    offset = np.linspace(at[0], at[-1], 16 * len(filled))
+    profile = np.interp(offset, at, median)
+    top = float(profile[np.abs(offset) <= 0.25 * sigma_px].mean())
+    return float(np.mean(profile > 0.5 * top) * (at[-1] - at[0])) / FWHM
 
 
 def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
@@ -204,8 +285,7 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
     Returns
     -------
     (lines,) float64
-        NaN where a neighbour is missing or strays from the fit by more than half a sigma, as
-        it does at steps.
+        NaN where half of the neighbours are missing or one strays from the fit, as at steps.
     """
     skip = max(1, math.ceil(sigma_px))
     reach = skip + _COURSE_ROWS
@@ -215,10 +295,15 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
         return course
     windows = np.lib.stride_tricks.sliding_window_view(u, 2 * reach + 1)
     around = windows[:, offsets + reach]
-    mean = around.mean(axis=1)
-    slope = around @ offsets / float(offsets @ offsets)
-    residual = around - mean[:, None] - slope[:, None] * offsets
-    spread = np.abs(residual).max(axis=1)
+    known = np.isfinite(around).astype(float)
+    filled = np.nan_to_num(around)
+    count, x, xx = known.sum(axis=1), known @ offsets, known @ offsets**2
+    y, xy = filled.sum(axis=1), filled @ offsets
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (xx * y - x * xy) / (count * xx - x**2)
+        slope = (count * xy - x * y) / (count * xx - x**2)
+    residual = known * (filled - mean[:, None] - slope[:, None] * offsets)
+    spread = np.where(count < _COURSE_ROWS, np.inf, np.abs(residual).max(axis=1))
     inside = u[reach:-reach]
     good = (spread < max(sigma_px, 1.0)) & (np.abs(inside - mean) < max(sigma_px, 1.0))
     course[reach:-reach] = np.where(good, mean, np.nan)
