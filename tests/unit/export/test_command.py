@@ -129,7 +129,7 @@ def test_a_refused_profile_is_not_exported(tmp_path, capsys):
     path = tmp_path / "profile.zarr"
     store.write_refused(path, "No laser line was found.", title="Profile", source="b")
     out = tmp_path / "h.x3p"
-    assert main(["export", "x3p", str(path), str(out)]) == 2
+    assert main(["export", "x3p", str(path), str(out)]) == 1
     assert "No laser line was found." in capsys.readouterr().err
     assert not out.exists()
 
