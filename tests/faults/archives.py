@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from damage import LISTED, change_facts, copy_capture
+from catalogue import LISTED
+from damage import change_facts, copy_capture
 from kills import digests, run
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 from archives import captures_of, make_project, survive_in_snakemake
+from catalogue import LISTED
 from corruption import inject, is_found
-from damage import LISTED, mutated
 from kills import (
     copy_project,
     digests,
@@ -29,6 +29,7 @@ from kills import (
     survive_snakemake_kills,
     survive_two_at_once,
 )
+from mutator import mutated
 from trials import Healthy, survive
 
 

@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "faults"))
 
 from archives import captures_of, survive_in_snakemake
+from catalogue import LISTED
 from corruption import inject, is_found
-from damage import LISTED, mutated
 from kills import (
     copy_project,
     digests,
@@ -21,6 +21,7 @@ from kills import (
     survive_kill,
     survive_two_at_once,
 )
+from mutator import mutated
 from trials import Healthy, run_quietly, survive
 
 # Every so many of the list, which `make test-faults` runs through as a whole.

@@ -8,8 +8,8 @@ import pytest
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import FirstSurface, LaserSections, ViewNormals, integrate_capture
 from treadlight.integrate.gather import view_field
-from treadlight.integrate.laser import laser_cells
-from treadlight.integrate.slots import close_cuts
+from treadlight.integrate.laser import LaserCells, laser_cells
+from treadlight.integrate.slots import _cut_lines, close_cuts
 
 RADIUS = 300.0
 STEP = 0.5
@@ -202,3 +202,19 @@ def test_a_slot_is_closed_where_its_section_lost_the_line(grid, view, sections, 
     near = lost[None] & (across(theta, z, SLOTS[1]) < 6) & (across(theta, z, SLOTS[1]) > 3)
     assert near.sum() > 20
     assert np.abs(profile.r - true_radius(theta, z))[near].max() < 5 * LASER_STD
+
+
+def test_a_dark_ring_is_no_cut_even_where_views_see_less_than_half_of_it(rng):
+    """Two of five rows are seen; all laser points there are lost, so that only length tells."""
+    grid = CylinderGrid((np.arange(200) - 100) * 0.4 / 300, (np.arange(60) - 30) * 0.4, 300.0)
+    dark = np.zeros(grid.shape, np.float32)
+    dark[:80] = rng.normal(0, 0.02, (80, 60))
+    dark[:80, 40] += 0.5
+    dark[30:50, 10] += 0.5
+    rows = np.arange(5, 200, 10)
+    row, column = np.concatenate([rows, rows]), np.repeat([40, 10], len(rows))
+    flat, number = np.full(len(row), 300.0), np.tile(np.arange(len(rows)), 2)
+    laser = LaserCells(row, column, flat, np.full(len(row), 0.1), number)
+    lines = _cut_lines(dark, laser, np.ones(len(row), bool), grid)
+    assert not lines[:, 40].any()
+    assert (lines[32:48, 10] > 0).all()

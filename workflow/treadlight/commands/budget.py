@@ -9,7 +9,6 @@ view sees are told apart. Prints tables, or with --json one object: {"captures":
 """
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -46,11 +45,7 @@ def run(args: argparse.Namespace) -> int:
         if not folder.is_dir():
             raise ConfigError(f"{folder}: is no folder. Name the archive, and --results.")
     report = budget_of(args.results, find_archive(args.archive))
-    if args.json:
-        json.dump(report, sys.stdout, indent=1)
-        print()
-    else:
-        print(render_budget(report), end="")
+    common.print_report(report, render_budget, args.json)
     return 0
 
 

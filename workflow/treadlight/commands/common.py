@@ -119,6 +119,11 @@ def provenance_digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
+def print_report(report: Any, render: Callable[[Any], str], as_json: bool) -> None:
+    """A report on stdout: one JSON object, or the text that `render` makes of it."""
+    print(json.dumps(report, indent=1) + "\n" if as_json else render(report), end="")
+
+
 def recorded_settings(product: Path) -> dict[str, Any]:
     """The settings that a product was made with, from what is written beside it."""
     content = store.read_json(product.with_name(product.name + ".provenance.json"))

@@ -10,10 +10,10 @@ or refused is {"missing": sentence}. Lengths mm, angles degrees unless a name sa
 """
 
 import argparse
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from treadlight.commands import common
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,11 +40,7 @@ def run(args: argparse.Namespace) -> int:
         if not folder.is_dir():
             raise ConfigError(f"{folder}: is no folder. Name the results, then the archive.")
     report = evaluate_archive(args.results, find_archive(args.archive))
-    if args.json:
-        json.dump(report, sys.stdout, indent=1)
-        print()
-    else:
-        print(render(report), end="")
+    common.print_report(report, render, args.json)
     return 0
 
 

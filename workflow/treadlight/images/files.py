@@ -187,13 +187,13 @@ def _png_is_whole(data: bytes) -> bool:
 
 
 def _tiff_is_whole(data: bytes) -> bool:
-    from PIL import Image
+    from PIL.TiffImagePlugin import TiffImageFile
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(data), formats=("TIFF",)) as image:
-                tags: Any = image.tag_v2  # type: ignore[attr-defined]
+            with TiffImageFile(io.BytesIO(data)) as image:
+                tags = image.tag_v2
         offsets, lengths = ((273, 279), (324, 325))[324 in tags]
         strips = zip(tags[offsets], tags[lengths], strict=True)
         return all(start + length <= len(data) for start, length in strips)

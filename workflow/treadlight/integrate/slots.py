@@ -151,7 +151,7 @@ def _cut_lines(
     sections know which.
     """
     lines = dark_lines(dark, grid)
-    seen = (dark > 0).any(axis=1)
+    seen = (dark != 0).any(axis=1)
     lines *= (lines > 0).sum(axis=0) <= _AROUND * seen.sum()
     patches = find_patches(lines > 0, grid)
     return np.where(patches.select(_lost_share(patches, laser, lost) > _MOSTLY).mask, lines, 0)
