@@ -7,11 +7,13 @@ from scipy.spatial import cKDTree
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.cues import MAD_TO_STD
 from treadlight.integrate.laser import LaserCells
-from treadlight.integrate.patches import Patches, kinds_of, way_out
+from treadlight.integrate.patches import Kinds, Patches, kinds_of, way_out
 
 # The depth of a cell is the median of this many points next to it in the same slot.
 _NEAREST = 60
 _LEAST_POINTS = 5
+# The floors of a kind of slot are reached where the greater part of the points in it lie deep.
+_MOSTLY = 0.5
 
 
 def slot_depths(
@@ -19,6 +21,7 @@ def slot_depths(
     met: np.ndarray,
     top: np.ndarray,
     laser: LaserCells,
+    deep: np.ndarray,
     shared_rows: float,
     tread_depth: float,
     grid: CylinderGrid,
@@ -27,7 +30,9 @@ def slot_depths(
 
     A slot whose floor no section reached is as deep as the equally wide ones in its columns. If
     there is none, but sections were lost in it, it is deeper than wide, or light would fall
-    in, and no deeper than the grooves: anything between.
+    in, and no deeper than the grooves: anything between. In a cut narrower than the laser's line
+    most points stay on the lips, and the few deep ones hang between lip and floor: they reached
+    nothing.
 
     Parameters
     ----------
@@ -37,7 +42,8 @@ def slot_depths(
     top : (n, m) float
         Closed surface, mm.
     laser : LaserCells
-        Points in slots.
+    deep : (k,) bool
+        Points in slots and below the tread.
     shared_rows : float
         How many neighbouring lines share their errors: nearer to a wall than half of that a
         point is between the floor and the lip.
@@ -53,18 +59,20 @@ def slot_depths(
     depth, std = np.full(top.shape, np.nan), np.full(top.shape, np.nan)
     inside = way_out(slots.mask, grid)
     widest = 2 * ndimage.maximum(inside, slots.label, np.arange(1, slots.count + 1))
+    kinds = kinds_of(slots)
+    reached = _reached(slots, kinds, laser, deep)
     away = inside[laser.row, laser.column]
-    laser, away = laser.select(away > shared_rows / 2), away[away > shared_rows / 2]
+    deep = deep & (away > shared_rows / 2)
+    laser, away = laser.select(deep), away[deep]
     label = slots.label[laser.row, laser.column]
     order = np.argsort(label, kind="stable")
     starts = np.searchsorted(label[order], np.arange(1, slots.count + 2))
     below = top[laser.row, laser.column] - laser.value
-    kinds = kinds_of(slots)
     usual = np.full((slots.count, 2), np.nan)
     cells = list(slots.cells())
     for k, own in enumerate(cells):
         points = order[starts[k] : starts[k + 1]]
-        if len(points) < _LEAST_POINTS:
+        if len(points) < _LEAST_POINTS or not reached[k]:
             continue
         # The walls pull at the line as far as its tails reach: the inner half knows best.
         points = points[away[points] >= np.median(away[points])]
@@ -87,6 +95,16 @@ def slot_depths(
             continue
         depth[tuple(cells[k].T)], std[tuple(cells[k].T)] = middle, spread
     return depth, std
+
+
+def _reached(slots: Patches, kinds: Kinds, laser: LaserCells, deep: np.ndarray) -> np.ndarray:
+    """Slots (count,) of a kind in which the greater part of the points is deep (k,)."""
+    label = slots.label[laser.row, laser.column]
+    points = np.bincount(label, minlength=slots.count + 1)[1:]
+    found = np.bincount(label[deep], minlength=slots.count + 1)[1:]
+    alike = (kinds.alike(k) for k in range(slots.count))
+    shares = [(found[kind].sum(), points[kind].sum()) for kind in alike]
+    return np.array([some > _MOSTLY * every for some, every in shares], bool)
 
 
 def _between(least: float, most: float) -> tuple[float, float]:
