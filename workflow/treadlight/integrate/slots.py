@@ -40,6 +40,8 @@ _BESIDE_CELLS = 1.5
 _ASIDE = 0.5
 # Sections on either side that tell where the tread is.
 _SECTIONS = 3
+# A wear bar in a groove, which nearly fills it with what looks like tread, is met by one section.
+_LEAST_CALM = 2
 # Of the tread's depth: what is deeper is a groove's floor or wall.
 _GROOVE_DEPTH = 0.25
 # Of the way from a dark line's edge to where it is darkest.
@@ -138,7 +140,8 @@ def _lost(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
     In a narrow cut the line breaks: part of it lies on the lips, part is lost, and the middle of
     what is left is moved either way.
     """
-    away = np.abs(_median_along(laser, grid) - laser.value)
+    everywhere = np.ones(len(laser.value), bool)
+    away = np.abs(_median_along(laser, everywhere, grid) - laser.value)
     return (away > _OFF_SIGMA * std) | (laser.std > _OFF_SIGMA * std)
 
 
@@ -262,16 +265,22 @@ def _off_tread(laser: LaserCells, broken: Patches, std: float, grid: CylinderGri
     """Points (k,) in or at a cut that are far off the same column of the sections beside it."""
     if not broken.count:
         return np.zeros(len(laser.value), bool)
-    deviation = np.abs(laser.value - _median_along(laser, grid))
-    usual = np.hypot(std, laser.std)
     away = way_out(~broken.mask, grid)[laser.row, laser.column]
+    deviation = np.abs(laser.value - _median_along(laser, away > _BESIDE_CELLS, grid))
+    usual = np.hypot(std, laser.std)
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
+    beside = away <= _BESIDE_CELLS
+    unsure = laser.std > _OFF_SIGMA * std
     off = (deviation > _OFF_SIGMA * usual) & (away <= aside)
-    return off | ((deviation > _BESIDE_SIGMA * usual) & (away <= _BESIDE_CELLS))
+    return off | (beside & (unsure | (deviation > _BESIDE_SIGMA * usual)))
 
 
-def _median_along(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:
-    """Median (k,) of each point's column over the sections around it."""
+def _median_along(laser: LaserCells, calm: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Median (k,) of each point's column over the sections around it.
+
+    Where wide slots come in quick succession most sections meet one: the calm points (k,) decide
+    alone where there are enough of them.
+    """
     median = np.empty(len(laser.value))
     order, bounds = _by_column(laser, grid)
     for j in range(grid.shape[1]):
@@ -279,9 +288,12 @@ def _median_along(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:
         if not len(points):
             continue
         side = min(_SECTIONS, len(points) - 1)
-        padded = np.pad(laser.value[points], side, mode="wrap" if grid.periodic else "reflect")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
-        median[points] = np.median(windows, axis=1)
+        padded = np.pad(points, side, mode="wrap" if grid.periodic else "reflect")
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
+        values = laser.value[around]
+        some = calm[around].sum(axis=1) >= _LEAST_CALM
+        values = np.where(calm[around] | ~some[:, None], values, np.nan)
+        median[points] = np.nanmedian(values, axis=1)
     return median
 
 
