@@ -1,4 +1,4 @@
-"""How deep slots are: wide ones with floors that sections reach, narrow ones whose lips they hit."""
+"""How deep slots are: wide ones whose floors sections reach, narrow ones whose lips they hit."""
 
 import numpy as np
 import pytest
