@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
@@ -84,19 +83,21 @@ def _say(line: str) -> None:
 def _all(name: str, jobs: int, work: Callable, tasks: Iterable[tuple]) -> str:
     """Run the tasks in processes; each returns (label, what was lost or None)."""
     tasks = list(tasks)
-    context = multiprocessing.get_context("spawn")
     done = 0
-    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=40) as pool:
-        waiting = [pool.submit(work, *task) for task in tasks]
-        for future in as_completed(waiting):
-            label, lost = future.result()
+    # Not concurrent.futures: its pool hangs when it replaces a worker (CPython issue 115634).
+    with multiprocessing.get_context("spawn").Pool(jobs, maxtasksperchild=40) as pool:
+        for label, lost in pool.imap_unordered(_call, [(work, *task) for task in tasks]):
             if lost is not None:
-                pool.shutdown(cancel_futures=True)
                 raise LossError(f"{name}, {label}: {lost}")
             done += 1
             if done % 20 == 0 or done == len(tasks):
                 _say(f"{name}: {done} of {len(tasks)} survived")
     return f"{done} of {len(tasks)}"
+
+
+def _call(task: tuple) -> tuple[str, str | None]:
+    work, *arguments = task
+    return work(*arguments)
 
 
 def _damages(args: argparse.Namespace, project: Path, place: Path) -> str:
