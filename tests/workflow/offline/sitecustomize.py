@@ -4,7 +4,7 @@ import os
 import socket
 import sys
 
-_CALLS = ("socket.connect", "socket.sendto", "socket.sendmsg", "socket.bind")
+_CALLS = ("socket.connect", "socket.sendto", "socket.sendmsg")
 _NAMES = ("socket.getaddrinfo", "socket.gethostbyname", "socket.gethostbyaddr")
 
 
