@@ -210,3 +210,21 @@ def survive_two_at_once(command: list[str], project: Path, reference: dict[str, 
     if all(process.returncode for process in both):
         return f"neither ends well: {said}"
     return None if digests(project / "results") == reference else "gives other bits"
+
+
+def survive_little_memory(
+    command: list[str], project: Path, reference: dict[str, str], mib: int
+) -> str | None:
+    """A stage in a small address space ends well or in a sentence, and harms nothing."""
+    limited = ("bash", "-c", f'ulimit -v {mib * 1024}; exec "$@"', "bash")
+    done = run(project, *limited, *command)
+    if done.returncode not in (0, 1) or "Traceback" in done.stderr:
+        return f"exits {done.returncode} within {mib} MiB: {done.stderr[-2000:]}"
+    last = (done.stderr.splitlines() or [""])[-1]
+    if done.returncode == 1 and not (last.startswith("treadlight ") and last.endswith(".")):
+        return f"fails without a sentence within {mib} MiB: {last}"
+    if lost := _half_written(outputs_of(command, project)):
+        return lost
+    if (done := run(project, *command)).returncode != 0:
+        return f"does not run again: {done.stderr}"
+    return None if digests(project / "results") == reference else "gives other bits"

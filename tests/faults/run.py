@@ -25,11 +25,15 @@ from kills import (
     stage_commands,
     state_of,
     survive_kill,
+    survive_little_memory,
     survive_snakemake_kills,
     survive_two_at_once,
 )
 from mutator import mutated
 from trials import Healthy, survive
+
+# One too small for the libraries, one that just holds them.
+LITTLE_MEMORY_MIB = (1000, 1700)
 
 
 class LossError(Exception):
@@ -60,6 +64,7 @@ def main() -> int:
             ("damages_survived", _damages),
             ("kills_survived", _kills),
             ("two_at_once_survived", _two_at_once),
+            ("little_memory_survived", _little_memory),
             ("snakemake_kills_survived", _snakemake_kills),
         ):
             figures[name] = trial(args, project, place)
@@ -72,6 +77,7 @@ def main() -> int:
     finally:
         shutil.rmtree(place, ignore_errors=True)
     figures["minutes"] = round((time.monotonic() - started) / 60, 1)
+    figures["processor_minutes"] = round(sum(os.times()[:4]) / 60, 1)
     print(json.dumps(figures))
     return 1 if "lost" in figures else 0
 
@@ -151,6 +157,27 @@ def _two(
     copy = copy_project(project, place)
     try:
         return command[1], survive_two_at_once(command, copy, reference)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _little_memory(args: argparse.Namespace, project: Path, place: Path) -> str:
+    reference = digests(project / "results")
+    stages = {command[1]: command for command in stage_commands(project)}
+    tasks = [
+        (command, project, reference, place / f"little-{name}-{mib}", mib)
+        for name, command in stages.items()
+        for mib in LITTLE_MEMORY_MIB
+    ]
+    return _all("little memory", args.jobs, _little, tasks)
+
+
+def _little(
+    command: list[str], project: Path, reference: dict[str, str], place: Path, mib: int
+) -> tuple[str, str | None]:
+    copy = copy_project(project, place)
+    try:
+        return command[1], survive_little_memory(command, copy, reference, mib)
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
