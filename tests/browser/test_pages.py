@@ -1,12 +1,16 @@
 """What a reader does with the pages: look, point, drag, choose."""
 
 import io
+import json
 import re
+import shutil
 
 import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import expect
+
+from treadlight.cli import main
 
 pytestmark = pytest.mark.browser
 
@@ -207,3 +211,44 @@ def test_a_script_that_is_not_the_pages_own_never_runs(chromium, worn_tire):
 
 def pixels(locator):
     return np.asarray(Image.open(io.BytesIO(locator.screenshot())).convert("RGB")).astype(int)
+
+
+SCRIPT = "<script>window.taken = 1</script><img src=x onerror='window.taken = 2'>"
+
+
+@pytest.fixture(scope="module")
+def hostile(worn_tire, tmp_path_factory):
+    """Pages of a tire whose id, size and serial are scripts, past the check that refuses such."""
+    results = tmp_path_factory.mktemp("hostile") / "results"
+    shutil.copytree(worn_tire, results)
+    state = json.loads((results / "archive.json").read_text())
+    state["tires"] = {SCRIPT: state["tires"]["t"]}
+    state["refused"] = {"d": f"d/capture.yaml: tire.id is {SCRIPT!r}. Use letters and digits."}
+    state["warnings"] = {"a": SCRIPT}
+    (results / "archive.json").write_text(json.dumps(state))
+    captures = [results / "captures" / name for name in "abc"]
+    tire = results / "tires/t"
+    report = ["report", SCRIPT, "--wear", tire / "wear.zarr", "--trend", tire / "trend.csv"]
+    report += ["--profiles", *(path / "profile.zarr" for path in captures)]
+    report += ["--quality", *(path / "quality.json" for path in captures)]
+    report += ["--calibrations", SCRIPT, SCRIPT, SCRIPT]
+    report += ["--facts", json.dumps({"size": SCRIPT, "serial": SCRIPT})]
+    report += ["--out", tire / "report.html"]
+    index = ["index", "--results", results, "--archive-state", results / "archive.json"]
+    index += ["--out", results / "index.html", "--products", results / "products.json"]
+    for command in (report, index):
+        assert main([str(part) for part in command]) == 0
+    return results
+
+
+@pytest.mark.parametrize("path", ["index.html", REPORT])
+def test_a_tire_id_that_is_a_script_shows_as_text(chromium, hostile, path):
+    # With the pages' own policy switched off: escaping alone must hold.
+    page = chromium.new_context(offline=True, bypass_csp=True).new_page()
+    page.goto((hostile / path).as_uri())
+    drawn(page, "[data-plot]")
+    assert SCRIPT in page.locator("body").inner_text()
+    assert page.evaluate("window.taken === undefined")
+    assert page.locator("img[src=x]").count() == 0
+    assert "window.taken" not in "".join(page.locator("script:not([type])").all_text_contents())
+    page.close()

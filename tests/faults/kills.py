@@ -17,6 +17,7 @@ from corruption import victims
 
 from treadlight import store
 
+ROOT = Path(__file__).resolve().parents[2]
 # Compiling the kernels alone takes minutes on a busy machine.
 _TIMEOUT_S = 1800
 _OUTPUTS = {
@@ -28,17 +29,17 @@ _OUTPUTS = {
 _SNAKEMAKE = ("snakemake", "--cores", "2", "--rerun-incomplete")
 
 
-def environment(project: Path) -> dict[str, str]:
-    """The project's own package, and the programs beside this Python."""
+def environment() -> dict[str, str]:
+    """This package, at one path for all projects or each would compile its kernels again."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    return os.environ | {"PYTHONPATH": str(project / "workflow"), "PATH": path}
+    return os.environ | {"PYTHONPATH": str(ROOT / "workflow"), "PATH": path}
 
 
 def run(project: Path, *command: str) -> subprocess.CompletedProcess:
     return subprocess.run(
         command,
         cwd=project,
-        env=environment(project),
+        env=environment(),
         capture_output=True,
         text=True,
         check=False,
@@ -72,9 +73,14 @@ def stage_commands(project: Path) -> list[list[str]]:
 
 
 def copy_project(project: Path, target: Path) -> Path:
-    """A project whose results share their files: they are replaced, never written into."""
-    shutil.copytree(project, target, copy_function=os.link, symlinks=True)
+    """A project that shares the files of archive and results: these are replaced, never changed."""
+    shutil.copytree(project, target, copy_function=_link_or_copy, symlinks=True)
     return target
+
+
+def _link_or_copy(source: str, target: str) -> None:
+    # Snakemake writes into the files that it keeps of a run.
+    (shutil.copy2 if "/.snakemake/" in source else os.link)(source, target)
 
 
 def outputs_of(command: list[str], project: Path) -> list[Path]:
@@ -91,9 +97,7 @@ def survive_kill(
         for output in outputs:  # as Snakemake does before it starts a job again
             output.unlink(missing_ok=True)
     started = time.monotonic()
-    process = subprocess.Popen(
-        command, cwd=project, env=environment(project), stderr=subprocess.DEVNULL
-    )
+    process = subprocess.Popen(command, cwd=project, env=environment(), stderr=subprocess.DEVNULL)
     deadline = started + rng.uniform(0, 4)
     if rng.integers(2):
         _wait_for_writing(process, outputs)
@@ -161,7 +165,7 @@ def survive_snakemake_kills(
         with subprocess.Popen(
             _SNAKEMAKE,
             cwd=project,
-            env=environment(project),
+            env=environment(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
@@ -194,7 +198,7 @@ def survive_two_at_once(command: list[str], project: Path, reference: dict[str, 
         subprocess.Popen(
             command,
             cwd=project,
-            env=environment(project),
+            env=environment(),
             stderr=subprocess.PIPE,
             text=True,
         )
@@ -205,4 +209,22 @@ def survive_two_at_once(command: list[str], project: Path, reference: dict[str, 
         return said[0] + said[1]
     if all(process.returncode for process in both):
         return f"neither ends well: {said}"
+    return None if digests(project / "results") == reference else "gives other bits"
+
+
+def survive_little_memory(
+    command: list[str], project: Path, reference: dict[str, str], mib: int
+) -> str | None:
+    """A stage in a small address space ends well or in a sentence, and harms nothing."""
+    limited = ("bash", "-c", f'ulimit -v {mib * 1024}; exec "$@"', "bash")
+    done = run(project, *limited, *command)
+    if done.returncode not in (0, 1) or "Traceback" in done.stderr:
+        return f"exits {done.returncode} within {mib} MiB: {done.stderr[-2000:]}"
+    last = (done.stderr.splitlines() or [""])[-1]
+    if done.returncode == 1 and not (last.startswith("treadlight ") and last.endswith(".")):
+        return f"fails without a sentence within {mib} MiB: {last}"
+    if lost := _half_written(outputs_of(command, project)):
+        return lost
+    if (done := run(project, *command)).returncode != 0:
+        return f"does not run again: {done.stderr}"
     return None if digests(project / "results") == reference else "gives other bits"

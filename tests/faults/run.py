@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +25,15 @@ from kills import (
     stage_commands,
     state_of,
     survive_kill,
+    survive_little_memory,
     survive_snakemake_kills,
     survive_two_at_once,
 )
 from mutator import mutated
 from trials import Healthy, survive
+
+# One too small for the libraries, one that just holds them.
+LITTLE_MEMORY_MIB = (1000, 1700)
 
 
 class LossError(Exception):
@@ -61,6 +64,7 @@ def main() -> int:
             ("damages_survived", _damages),
             ("kills_survived", _kills),
             ("two_at_once_survived", _two_at_once),
+            ("little_memory_survived", _little_memory),
             ("snakemake_kills_survived", _snakemake_kills),
         ):
             figures[name] = trial(args, project, place)
@@ -73,6 +77,7 @@ def main() -> int:
     finally:
         shutil.rmtree(place, ignore_errors=True)
     figures["minutes"] = round((time.monotonic() - started) / 60, 1)
+    figures["processor_minutes"] = round(sum(os.times()[:4]) / 60, 1)
     print(json.dumps(figures))
     return 1 if "lost" in figures else 0
 
@@ -84,19 +89,21 @@ def _say(line: str) -> None:
 def _all(name: str, jobs: int, work: Callable, tasks: Iterable[tuple]) -> str:
     """Run the tasks in processes; each returns (label, what was lost or None)."""
     tasks = list(tasks)
-    context = multiprocessing.get_context("spawn")
     done = 0
-    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=40) as pool:
-        waiting = [pool.submit(work, *task) for task in tasks]
-        for future in as_completed(waiting):
-            label, lost = future.result()
+    # Not concurrent.futures: its pool hangs when it replaces a worker (CPython issue 115634).
+    with multiprocessing.get_context("spawn").Pool(jobs, maxtasksperchild=40) as pool:
+        for label, lost in pool.imap_unordered(_call, [(work, *task) for task in tasks]):
             if lost is not None:
-                pool.shutdown(cancel_futures=True)
                 raise LossError(f"{name}, {label}: {lost}")
             done += 1
             if done % 20 == 0 or done == len(tasks):
                 _say(f"{name}: {done} of {len(tasks)} survived")
     return f"{done} of {len(tasks)}"
+
+
+def _call(task: tuple) -> tuple[str, str | None]:
+    work, *arguments = task
+    return work(*arguments)
 
 
 def _damages(args: argparse.Namespace, project: Path, place: Path) -> str:
@@ -150,6 +157,27 @@ def _two(
     copy = copy_project(project, place)
     try:
         return command[1], survive_two_at_once(command, copy, reference)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _little_memory(args: argparse.Namespace, project: Path, place: Path) -> str:
+    reference = digests(project / "results")
+    stages = {command[1]: command for command in stage_commands(project)}
+    tasks = [
+        (command, project, reference, place / f"little-{name}-{mib}", mib)
+        for name, command in stages.items()
+        for mib in LITTLE_MEMORY_MIB
+    ]
+    return _all("little memory", args.jobs, _little, tasks)
+
+
+def _little(
+    command: list[str], project: Path, reference: dict[str, str], place: Path, mib: int
+) -> tuple[str, str | None]:
+    copy = copy_project(project, place)
+    try:
+        return command[1], survive_little_memory(command, copy, reference, mib)
     finally:
         shutil.rmtree(place, ignore_errors=True)
 

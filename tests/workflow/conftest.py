@@ -28,9 +28,18 @@ class Project:
     def results(self) -> Path:
         return self.folder / "results"
 
+    @property
+    def network_log(self) -> Path:
+        """What asked for a network, one line each; no such file where nothing did."""
+        return self.folder / "network.log"
+
     def run(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
-        """Run a program of the environment in the project's folder, with the copied package."""
-        environment = os.environ | {"PYTHONPATH": str(self.folder / "workflow")}
+        """Run a program in the project's folder, with the copied package and without network."""
+        offline = Path(__file__).parent / "offline"
+        environment = os.environ | {
+            "PYTHONPATH": f"{offline}{os.pathsep}{self.folder / 'workflow'}",
+            "NETWORK_LOG": str(self.network_log),
+        }
         program = str(Path(sys.executable).parent / arguments[0])
         done = subprocess.run(
             [program, *arguments[1:]],

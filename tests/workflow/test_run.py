@@ -56,6 +56,15 @@ def test_every_product_of_the_contract_is_there(processed):
             assert (folder / "photometric.zarr/fov00/zarr.json").is_file()
 
 
+def test_no_process_of_a_run_asks_for_a_network(processed, project):
+    assert not processed.network_log.exists()
+    asked = project.run(
+        "python", "-c", "import socket; socket.create_connection(('127.0.0.1', 9))", check=False
+    )
+    assert "no network in this run" in asked.stderr
+    assert "socket.getaddrinfo" in project.network_log.read_text()
+
+
 def test_one_core_and_two_give_the_same_bits(processed, project):
     before = stores(project.results)
     assert len(before) > 50

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import treadlight
 from treadlight.errors import ConfigError, sentence_of
+from treadlight.memory import require_address_space
 
 # Command name -> module below treadlight.commands, in the order of the pipeline.
 COMMANDS = {
@@ -56,6 +57,9 @@ def _run(argv: list[str]) -> int:
     # Before a command's module loads numpy: sums by several threads depend on their number.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     name = argv[0] if argv and argv[0] in COMMANDS else None
+    options = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    _add_threads(options)
+    require_address_space(options.parse_known_args(argv)[0].threads)
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
     parser.add_argument("--version", action="version", version=treadlight.__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
@@ -64,12 +68,16 @@ def _run(argv: list[str]) -> int:
         module = importlib.import_module(f"treadlight.commands.{COMMANDS[command]}")
         summary = (module.__doc__ or "").strip().splitlines()[0]
         sub = commands.add_parser(command, help=summary, description=module.__doc__)
-        sub.add_argument("--threads", type=int, default=os.cpu_count(), help="cores to use")
+        _add_threads(sub)
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     args = parser.parse_args(argv)
     _limit_threads(args.threads)
     return int(args.run(args) or 0)
+
+
+def _add_threads(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="cores to use")
 
 
 def _limit_threads(threads: int) -> None:

@@ -43,6 +43,10 @@ class StoreError(TreadlightError):
     """A product on disk is missing, incomplete or damaged."""
 
 
+class MachineError(TreadlightError):
+    """The machine gives a process too little; with more, the same command works."""
+
+
 def sentence_of(error: BaseException) -> str:
     """What went wrong, in one line, for any error: never a traceback.
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from treadlight.images import LinearFrame, doubts
+from treadlight.archive import read_capture
+from treadlight.images import FrameReader, LinearFrame, doubts
 
 LEDS = 8
 
@@ -81,3 +82,35 @@ def test_of_two_views_the_one_explained_worse_is_wrong(rng):
     views = {"a": patterns(view(rng)), "b": patterns(view(rng))}
     views["b"][0], views["b"][3] = views["b"][3], views["b"][0]
     assert doubts.views_with_swapped_leds(views, {"a": 0.02, "b": 0.3}) == {"b": (0, 3)}
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["t7-00100", "t7-00200"])
+def test_the_sample_raises_no_doubt_and_a_frame_of_another_view_does(sample_archive, name):
+    capture = read_capture(sample_archive / name)
+    reader = FrameReader(capture)
+    seen = {f.file: doubts.look_at(reader.read(f)) for f in capture.of_kind("led")}
+    views = [{f.file: seen[f.file] for f in capture.view(number)} for number in capture.views]
+    light = [
+        {f.led: seen[f.file].pattern for f in capture.view(number)} for number in capture.views
+    ]
+    assert [doubts.doubts_of_view(view, "rows") for view in views] == [{}, {}, {}]
+    numbered = dict(enumerate(light))
+    assert doubts.views_with_swapped_leds(numbered, dict.fromkeys(numbered, 0.0)) == {}
+    for ours, others in ((views[0], views[1]), (views[1], views[2]), (views[2], views[0])):
+        for file, other in zip(list(ours)[::5], list(others)[::5], strict=True):
+            found = doubts.doubts_of_view({**ours, file: others[other]}, "rows")
+            assert list(found) == [file]
+
+
+def test_a_view_without_edges_is_not_judged(rng):
+    blank = [np.full((160, 160), 0.4) + rng.normal(0, 0.01, (160, 160)) for _ in range(LEDS)]
+    assert doubts.doubts_of_view(looks([f.astype(np.float32) for f in blank]), "rows") == {}
+
+
+def test_a_frame_that_holds_only_noise_is_dark_at_any_gain(rng):
+    for sigma in (1e-4, 0.05):
+        frames = view(rng)
+        frames[5] = rng.normal(0, sigma, frames[5].shape).astype(np.float32)
+        assert "is dark" in doubts.unlit_frames(looks(frames))["5.png"]
+        assert len(doubts.unlit_frames(looks(frames[5:6]))) == 1
