@@ -8,6 +8,7 @@ rule detect_laser_pixels:
     threads: 1
     resources:
         mem_mb=memory_of(100),
+        runtime=runtime_of(0.15, "laser"),
     params:
         folder=folder_of,
         frames=frames_of("laser", "dark"),

@@ -12,6 +12,7 @@ rule photometric_stereo:
     threads: 1
     resources:
         mem_mb=memory_of(600),
+        runtime=runtime_of(1, "led"),
     params:
         folder=folder_of,
         frames=frames_of_view,
