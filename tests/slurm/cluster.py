@@ -28,8 +28,6 @@ StateSaveLocation={folder}/state
 SlurmdSpoolDir={folder}/spool
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/none
-# Snakemake clears SLURM_* before it submits: jobs would not find this cluster's configuration.
-TaskProlog={folder}/prolog
 # The node promises what the test asks for, whatever this machine has.
 SlurmdParameters=config_overrides
 MpiDefault=none
@@ -52,7 +50,10 @@ def cluster(cpus: int, memory_mb: int) -> Iterator[dict[str, str]]:
     folder = Path(tempfile.mkdtemp(prefix="slurm-"))
     folder.chmod(0o755)
     started: list[subprocess.Popen] = []
-    environment = os.environ | {"SLURM_CONF": str(folder / "slurm.conf")}
+    environment = os.environ | {
+        "SLURM_CONF": str(folder / "slurm.conf"),
+        "PATH": f"{folder}/bin{os.pathsep}{os.environ['PATH']}",
+    }
     try:
         _write_config(folder, cpus, memory_mb)
         (folder / "munge.key").write_bytes(os.urandom(128))
@@ -103,8 +104,11 @@ def _write_config(folder: Path, cpus: int, memory_mb: int) -> None:
         memory_mb=memory_mb,
     )
     (folder / "slurm.conf").write_text(text)
-    (folder / "prolog").write_text(f"#!/bin/sh\necho export SLURM_CONF={folder}/slurm.conf\n")
-    (folder / "prolog").chmod(0o755)
+    # Within jobs Snakemake clears the environment of SLURM_*, where srun is told of its cluster.
+    srun = folder / "bin/srun"
+    srun.parent.mkdir()
+    srun.write_text(f'#!/bin/sh\nSLURM_CONF={folder}/slurm.conf exec {_program("srun")} "$@"\n')
+    srun.chmod(0o755)
 
 
 def _free_ports(count: int) -> list[int]:

@@ -156,6 +156,7 @@ class _Sample:
 
         from treadlight.archive import read_capture
         from treadlight.commands.photometric_stereo import read_frames
+        from treadlight.spool import Memory
         from treadlight.evaluate.truth import read_true_profile, read_true_rig
         from treadlight.geometry import CylinderGrid
         from treadlight.photometric.noise import dark_noise
@@ -169,7 +170,7 @@ class _Sample:
         self.grid = CylinderGrid(profile.theta, profile.z, capture.tire.nominal_radius_mm)
         self.r = profile.r
         frames = list(capture.view(0))
-        frames, intensity, left_out = read_frames(capture, frames)
+        frames, intensity, left_out = read_frames(capture, frames, Memory())
         assert not left_out
         noise = np.array([dark_noise(frame) for frame in intensity])
         self.view = View(

@@ -24,7 +24,9 @@ from treadlight.photometric.observations import (
 )
 from treadlight.photometric.settings import PhotometrySettings
 from treadlight.photometric.sps import sps, typical_misfit
+from treadlight.spool import Memory, Spool
 
+IN_MEMORY = Memory()
 # Pixels per chunk: keeps 16 LEDs' vectors and masks below 32 MiB.
 _CHUNK_PX = 1 << 16
 _SAMPLE_PX = 20_000
@@ -107,8 +109,9 @@ def solve_view(
     r: np.ndarray,
     r_std: np.ndarray,
     settings: PhotometrySettings,
+    memory: Memory | Spool = IN_MEMORY,
 ) -> ViewNormals:
-    """Specular photometric stereo at every pixel of a view.
+    """Specular photometric stereo at every pixel of a view, chunk by chunk.
 
     Parameters
     ----------
@@ -117,6 +120,8 @@ def solve_view(
     r, r_std : (n_theta, n_z) float
         The current surface and its standard uncertainty, mm; NaN where unknown.
     settings : PhotometrySettings
+    memory : Memory or Spool
+        Where the maps lie (54 bytes per pixel), handed back after each chunk.
 
     Returns
     -------
@@ -129,15 +134,18 @@ def solve_view(
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
     observed, _, _ = _observe(view, patch, obstacles, sample)
     estimator = _estimator(observed, settings)
-    maps = _empty_maps(total)
+    maps = _empty_maps(total, memory)
     for pixels in _chunks(total):
         observed, points, quality = _observe(view, patch, obstacles, pixels)
         _place(maps, pixels, estimator(observed), points, quality, view.encoder)
+        memory.release()
     poor = _is_poor(maps.residual)
     maps.quality[poor] |= POOR_FIT
     found = _reshaped(maps, height, width)
     scale = covariance_scale(found.normal, found.normal_cov, found.theta, found.z, found.r)
-    return replace(found, normal_cov=found.normal_cov * np.float32(scale**2))
+    np.multiply(found.normal_cov, np.float32(scale**2), out=found.normal_cov)
+    memory.release()
+    return found
 
 
 def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
@@ -283,14 +291,16 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _empty_maps(total: int) -> ViewNormals:
+def _empty_maps(total: int, memory: Memory | Spool) -> ViewNormals:
     def floats(*size: int) -> np.ndarray:
-        return np.empty((total, *size), np.float32)
+        return memory.empty((total, *size), np.float32)
 
-    counts = np.empty(total, np.uint8)
+    def counts() -> np.ndarray:
+        return memory.empty((total,), np.uint8)
+
     return ViewNormals(
-        floats(3), floats(3), floats(), floats(), floats(), floats(), counts,
-        floats(), floats(), floats(), counts.copy(),
+        floats(3), floats(3), floats(), floats(), floats(), floats(), counts(),
+        floats(), floats(), floats(), counts(),
     )  # fmt: skip
 
 
@@ -320,8 +330,9 @@ def _is_poor(residual: np.ndarray) -> np.ndarray:
     known = logarithm[np.isfinite(logarithm)]
     if not known.size:
         return np.zeros(residual.shape, bool)
-    middle = np.median(known)
-    spread = _MAD_TO_STD * np.median(np.abs(known - middle))
+    middle = np.median(known, overwrite_input=True)
+    known -= middle
+    spread = _MAD_TO_STD * np.median(np.abs(known, out=known), overwrite_input=True)
     return logarithm > middle + _POOR_SIGMAS * spread
 
 
