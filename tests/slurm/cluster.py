@@ -125,13 +125,13 @@ def _wait(folder: Path, started: list[subprocess.Popen], environment: dict[str, 
     """Until the node is idle."""
     command = ["sinfo", "--noheader", "--format=%T"]
     for _ in range(_START_S):
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False
-        )
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.stdout.strip() == "idle":
             return
         if any(process.poll() is not None for process in started):
             break
         time.sleep(1)
     said = "\n".join(path.read_text(errors="replace")[-2000:] for path in folder.glob("*.out"))
-    raise SystemExit(f"Slurm does not start ({done.stdout.strip() or done.stderr.strip()}):\n{said}")
+    raise SystemExit(
+        f"Slurm does not start ({done.stdout.strip() or done.stderr.strip()}):\n{said}"
+    )

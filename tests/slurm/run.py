@@ -82,7 +82,9 @@ def run(folder: Path, environment, *command: str) -> None:
         check=False,
     )
     if done.returncode != 0:
-        sys.exit(f"{' '.join(command)} exits {done.returncode}:\n{done.stdout}{done.stderr}"[-6000:])
+        sys.exit(
+            f"{' '.join(command)} exits {done.returncode}:\n{done.stdout}{done.stderr}"[-6000:]
+        )
 
 
 if __name__ == "__main__":

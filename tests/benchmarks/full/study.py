@@ -113,9 +113,7 @@ def cells_of(surface: Path) -> tuple[int, float]:
     return data["r"].size, 2 * np.pi / (step * data.sizes["theta"])
 
 
-def summary(
-    taken: dict, section: float, sections: int, cells: tuple[int, float]
-) -> dict[str, Any]:
+def summary(taken: dict, section: float, sections: int, cells: tuple[int, float]) -> dict[str, Any]:
     """The figures, and the whole capture's by extrapolation."""
     count, turns = cells
     more_sections = _SECTIONS / sections

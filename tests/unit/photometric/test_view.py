@@ -156,10 +156,10 @@ class _Sample:
 
         from treadlight.archive import read_capture
         from treadlight.commands.photometric_stereo import read_frames
-        from treadlight.spool import Memory
         from treadlight.evaluate.truth import read_true_profile, read_true_rig
         from treadlight.geometry import CylinderGrid
         from treadlight.photometric.noise import dark_noise
+        from treadlight.spool import Memory
 
         capture = read_capture(folder)
         self.rig = read_true_rig(folder / "truth" / "rig.yaml")

@@ -60,9 +60,7 @@ def run(args: argparse.Namespace) -> int:
     def work() -> None:
         rig = store.read_rig(args.calibration)
         memory = Spool(out.parent)
-        view, warnings = read_view(
-            capture, args.view, rig, args.illumination, memory, args.threads
-        )
+        view, warnings = read_view(capture, args.view, rig, args.illumination, memory, args.threads)
         surface = store.open_store(args.surface)
         grid = grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
@@ -114,7 +112,8 @@ def read_view(
 ) -> "tuple[View, list[str]]":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
 
-    The frames lie in `memory`; `threads` of them are decoded at once. The second is why frames are left out: damaged, dark, blinded or moved, a sentence each.
+    The frames lie in `memory`; `threads` of them are decoded at once. The second is why frames are
+    left out: damaged, dark, blinded or moved, a sentence each.
 
     Raises
     ------

@@ -50,11 +50,11 @@ class FrameReader:
         """
         counts = self._decode(frame)
         channels = self._select(counts, frame)
-        saturated = channels >= self.capture.encoding.white_level
+        saturated = np.greater_equal(channels, self.capture.encoding.white_level)
         linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
         if linear.shape[2] == 1:
             return LinearFrame(linear[:, :, 0], saturated[:, :, 0])
-        return LinearFrame(linear.mean(axis=2, dtype=np.float32), saturated.any(axis=2))
+        return LinearFrame(linear.mean(axis=2, dtype=np.float32), np.any(saturated, axis=2))
 
     def _decode(self, frame: Frame) -> np.ndarray:
         path = self.capture.path(frame)
