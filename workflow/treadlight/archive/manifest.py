@@ -106,7 +106,8 @@ class Tire:
 class Capture:
     """One capture: the facts of capture.yaml and the rows of frames.csv.
 
-    Attributes that belong to the other kind of capture are None.
+    Attributes that belong to the other kind of capture are None; `facts` is all of capture.yaml
+    as it was written.
     """
 
     folder: Path
@@ -119,6 +120,7 @@ class Capture:
     laser_channel: str
     leds: int
     frames: tuple[Frame, ...]
+    facts: dict[str, Any]
     tire: Tire | None = None
     mileage: float | None = None
     mileage_unit: str | None = None
@@ -186,6 +188,7 @@ def read_capture(folder: Path) -> Capture:
         "laser_channel": facts.choice("laser.channel", ("red", "green", "blue", "mono")),
         "leds": leds,
         "frames": _read_frames(place, kinds, leds),
+        "facts": facts.data,
     }
     if kind == "measurement":
         return Capture(**common, **_measurement_facts(facts))
