@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
             settings,
             memory,
         )
-        dataset = _with_light(dataset_of(found), view, warnings)
+        dataset = _with_light(dataset_of(found), view, warnings, memory)
         store.write_store(out, dataset, title=title, source=capture.id)
 
     return common.run_stage(
@@ -221,7 +221,9 @@ def read_frames(
     return [frames[m] for m in kept], intensity[: len(kept)], left_out
 
 
-def _with_light(dataset: "xr.Dataset", view: "View", warnings: list[str]) -> "xr.Dataset":
+def _with_light(
+    dataset: "xr.Dataset", view: "View", warnings: list[str], memory: Memory | Spool
+) -> "xr.Dataset":
     """Add what the views of a capture are compared by, and what was left out of this one."""
     import numpy as np
 
@@ -229,10 +231,13 @@ def _with_light(dataset: "xr.Dataset", view: "View", warnings: list[str]) -> "xr
     from treadlight.images import doubts
 
     numbers = np.array([view.light.leds[k].number for k in view.leds])
-    patterns = np.stack([doubts.light_pattern(frame) for frame in view.intensity])
+    patterns = []
+    for frame in view.intensity:
+        patterns.append(doubts.light_pattern(frame))
+        memory.release()
     dims, text = ("led", "row", "column"), "logarithm of the light in blocks of the image"
     dataset = dataset.assign(
-        {"light_pattern": store.variable(dims, patterns, "1", text)}
+        {"light_pattern": store.variable(dims, np.stack(patterns), "1", text)}
     ).assign_coords({"led": store.variable(("led",), numbers, "1", "LED number")})
     return dataset.assign_attrs(warnings=warnings) if warnings else dataset
 

@@ -256,6 +256,7 @@ def _observe(
     points = scene.cast(patch, origin, _pixel_directions(view, pixels))
     lit = scene.lit(obstacles, points, leds)
     phi, z, r = points.T
+    local = _LocalBasis.at(points)
     theta = phi - view.encoder
     in_camera = view.axis.to_camera(theta, z, r, view.encoder)
     counts = view.intensity.reshape(len(leds), -1)[:, pixels]
@@ -268,23 +269,36 @@ def _observe(
         with np.errstate(divide="ignore", invalid="ignore"):
             intensity[m] = counts[m] / irradiance
             noise[m] = view.noise[m] / irradiance
-        lights[m] = _unit(_local(leds[m], points))
+        lights[m] = _unit(local.vectors_to(leds[m]))
     saturated = np.isnan(counts)
     outside = np.isnan(r)
     usable = lit & ~saturated & np.isfinite(intensity)
     quality = np.where(outside, OUTSIDE, np.uint8(0))
     quality |= np.where(~outside & (~lit).any(axis=0), SHADOWED, np.uint8(0))
     quality |= np.where(~outside & saturated.any(axis=0), SATURATED, np.uint8(0))
-    views = _unit(_local(origin, points)).astype(np.float32)
+    views = _unit(local.vectors_to(origin)).astype(np.float32)
     return Observations(intensity, lights, views, usable, noise), points, quality
 
 
-def _local(target: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) from points (phi, z, r) to a place in {V}, in the points' local basis."""
-    phi, z, r = points.T
-    c, s = np.cos(phi), np.sin(phi)
-    x, y = target[0], target[1]
-    return np.stack([c * x + s * y - r, c * y - s * x, target[2] - z], axis=-1)
+@dataclass(frozen=True)
+class _LocalBasis:
+    """The bases (r, theta, z) at points of {V}: cosine and sine of phi, z and r, (n,) each."""
+
+    cosine: np.ndarray
+    sine: np.ndarray
+    z: np.ndarray
+    r: np.ndarray
+
+    @classmethod
+    def at(cls, points: np.ndarray) -> "_LocalBasis":
+        phi, z, r = points.T
+        return cls(np.cos(phi), np.sin(phi), z, r)
+
+    def vectors_to(self, target: np.ndarray) -> np.ndarray:
+        """Vectors (n, 3) from the points to a place in {V}."""
+        c, s = self.cosine, self.sine
+        x, y = target[0], target[1]
+        return np.stack([c * x + s * y - self.r, c * y - s * x, target[2] - self.z], axis=-1)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
