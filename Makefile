@@ -7,8 +7,8 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo browser test test-faults test-repro bench-laser bench-photometry bench-speed lint \
-  format lock clean
+.PHONY: help setup demo slurm browser test test-faults test-repro test-slurm bench-laser bench-photometry \
+  bench-speed bench-plan bench-full lint format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -30,6 +30,9 @@ demo: setup ## Make the demo archive (once), process it, say where the result pa
 	$(BIN)/snakemake --cores $(CORES)
 	@echo "Result page: results/index.html"
 
+slurm: setup ## Install what jobs need to run in a Slurm queue
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r workflow/envs/slurm.lock
+
 browser: ## Install Chromium for the tests of the pages, where that is allowed
 	@sh workflow/envs/browser.sh
 
@@ -41,6 +44,10 @@ test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (
 
 test-repro: setup ## Two fresh clones, on one core and on two, give the same digests
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tests/faults/repro.py
+
+test-slurm: slurm ## A small archive through a Slurm queue on this machine, bit for bit as without
+	sh workflow/envs/slurm.sh
+	$(BIN)/python tests/slurm/run.py --cores $(CORES)
 
 bench-laser: setup ## The laser line's detector beside four others (figures in build/)
 	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
@@ -55,6 +62,13 @@ bench-speed: setup ## How fast the kernels are, beside plain versions of the sam
 	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
 	  NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
 
+bench-plan: setup ## Plan an archive of 1,000 captures: time, memory, what is added, what fails (half an hour)
+	$(BIN)/python tests/benchmarks/plan/study.py
+
+bench-full: setup ## A sector at full size through every stage; renders it first (8 GB in build/, half an hour)
+	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
+	  $(BIN)/python tests/benchmarks/full/study.py --cores $(CORES)
+
 lint: setup ## Check style, types and layers
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -67,6 +81,9 @@ format: setup ## Format Python and Snakemake files
 lock: ## Pin the newest versions (needs pip-tools)
 	pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-options \
 	  --no-header --output-file $(LOCK) workflow/envs/requirements.in
+	pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-emit-options \
+	  --no-header --no-annotate --constraint $(LOCK) --output-file - workflow/envs/slurm.in \
+	  | grep -A1 '^snakemake-executor' > workflow/envs/slurm.lock
 
 clean: ## Remove the demo, its results and the benchmarks' figures, not the environment
 	rm -rf demo results build

@@ -8,6 +8,7 @@ rule calibrate_camera:
     threads: 1
     resources:
         mem_mb=memory_of(100),
+        runtime=runtime_of(0.5, "board", "reference_board", "dark"),
     params:
         folder=folder_of,
         frames=frames_of("board", "reference_board", "dark"),
@@ -32,6 +33,7 @@ rule calibrate_laser_plane:
     threads: 1
     resources:
         mem_mb=memory_of(100),
+        runtime=runtime_of(0.5, "board", "board_laser", "dark"),
     params:
         folder=folder_of,
         frames=frames_of("board", "board_laser", "dark"),
@@ -56,6 +58,7 @@ rule calibrate_axis:
     threads: 1
     resources:
         mem_mb=memory_of(100),
+        runtime=runtime_of(0.5, "axis_board", "dark"),
     params:
         folder=folder_of,
         frames=frames_of("axis_board", "dark"),
@@ -80,6 +83,7 @@ rule calibrate_leds:
     threads: 1
     resources:
         mem_mb=memory_of(400),
+        runtime=runtime_of(0.5, "balls", "card", "dark"),
     params:
         folder=folder_of,
         frames=frames_of("balls", "card", "dark"),
@@ -107,6 +111,7 @@ rule calibrate:
     threads: 1
     resources:
         mem_mb=500,
+        runtime=15,
     params:
         folder=folder_of,
         facts=facts_of,
@@ -131,6 +136,7 @@ rule calibrate_illumination:
     threads: 1
     resources:
         mem_mb=memory_of(400),
+        runtime=runtime_of(0.5, "card", "dark"),
     params:
         folder=folder_of,
         frames=frames_of("card", "dark"),

@@ -1,5 +1,6 @@
 """What the rules share: the archive, the config, and where products live."""
 
+import functools
 import json
 import os
 import shlex
@@ -11,6 +12,7 @@ from snakemake.exceptions import WorkflowError
 
 from treadlight import store
 from treadlight.archive import find_archive
+from treadlight.archive.manifest import CALIBRATION_KINDS, MEASUREMENT_KINDS
 from treadlight.commands.common import TERMINAL
 from treadlight.commands.status import describe, read_outcome
 from treadlight.errors import TreadlightError, sentence_of
@@ -56,6 +58,8 @@ if not ARCHIVE.measurements and not ARCHIVE.calibrations and not ARCHIVE.refused
         f"{config_source}: 'archive' is {CONFIG['archive']!r}, where no capture.yaml is found"
         " that 'include' and 'exclude' let through. Name the folder that holds the captures."
     )
+# A job's start, and the first one's compiling of the kernels.
+_FIXED_MINUTES = 15
 CAPTURES = ARCHIVE.measurements | ARCHIVE.calibrations
 
 # Files of `snakemake export` by the format that `treadlight export` knows them by.
@@ -95,8 +99,13 @@ def folder_of(wildcards):
     return str(CAPTURES[name_of(wildcards)].folder)
 
 
+@functools.cache
+def facts_of_capture(name):
+    return facts_digest(CAPTURES[name])
+
+
 def facts_of(wildcards):
-    return facts_digest(CAPTURES[name_of(wildcards)])
+    return facts_of_capture(name_of(wildcards))
 
 
 def frames_of(*kinds):
@@ -141,13 +150,44 @@ def settings(section):
 
 
 def memory_of(bytes_per_pixel, fixed_mb=700):
-    """A function of the wildcards: memory for a job that holds this much per image pixel."""
+    """Memory of a job that holds this much per pixel of an image; a failed job gets more."""
 
-    def mem_mb(wildcards):
-        width, height = CAPTURES[name_of(wildcards)].encoding.size_px
-        return int(fixed_mb + width * height * bytes_per_pixel / 1e6)
+    def mem_mb(wildcards, attempt):
+        return attempt * int(fixed_mb + bytes_per_pixel * megapixels_of(wildcards))
 
     return mem_mb
+
+
+def runtime_of(seconds_per_megapixel, *kinds):
+    """Minutes for a job that works on every frame of these kinds, of its view if it has one."""
+
+    def runtime(wildcards, attempt):
+        frames = frame_count(name_of(wildcards), kinds, wildcards.get("view"))
+        seconds = seconds_per_megapixel * frames * megapixels_of(wildcards)
+        return attempt * (_FIXED_MINUTES + int(seconds / 60))
+
+    return runtime
+
+
+@functools.cache
+def frame_count(name, kinds, view):
+    if view:
+        return len(CAPTURES[name].view(int(view)))
+    return sum(frame.kind in kinds for frame in CAPTURES[name].frames)
+
+
+def of_largest(resource):
+    """A resource of a tire's job: what its largest capture takes."""
+    return lambda wildcards, attempt: max(
+        resource({"capture": capture}, attempt)
+        for capture in ARCHIVE.tires[wildcards.tire]
+    )
+
+
+def megapixels_of(wildcards):
+    """Of one image."""
+    width, height = CAPTURES[name_of(wildcards)].encoding.size_px
+    return width * height / 1e6
 
 
 def surface_of(wildcards):

@@ -7,7 +7,8 @@ rule detect_laser_pixels:
         f"{RESULTS}/benchmarks/detect_laser_pixels/{{capture}}.tsv"
     threads: 1
     resources:
-        mem_mb=memory_of(100),
+        mem_mb=memory_of(60),
+        runtime=runtime_of(0.15, "laser"),
     params:
         folder=folder_of,
         frames=frames_of("laser", "dark"),

@@ -20,7 +20,8 @@ rule export_profile:
         f"{RESULTS}/benchmarks/export/{{capture}}/{{export}}.tsv"
     threads: 1
     resources:
-        mem_mb=4000,
+        mem_mb=memory_of(400, fixed_mb=4000),
+        runtime=60,
     params:
         format=lambda wildcards: EXPORTS[wildcards.export],
         settings=settings("export"),

@@ -40,6 +40,7 @@ rule index:
     threads: 1
     resources:
         mem_mb=1000,
+        runtime=60,
     params:
         results=lambda wildcards, input: os.path.dirname(input.state),
         code=code_digest("treadlight.commands.index"),

@@ -8,6 +8,7 @@ rule inspect_capture:
     threads: 1
     resources:
         mem_mb=500,
+        runtime=runtime_of(0.02, *MEASUREMENT_KINDS, *CALIBRATION_KINDS),
     params:
         folder=folder_of,
         frames=lambda wildcards: DIGESTS.of_frames(

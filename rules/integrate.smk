@@ -19,6 +19,7 @@ rule integrate:
     threads: 1
     resources:
         mem_mb=memory_of(2500),
+        runtime=runtime_of(0.5, "laser", "led"),
     params:
         folder=folder_of,
         facts=facts_of,

@@ -11,7 +11,8 @@ rule photometric_stereo:
         f"{RESULTS}/benchmarks/photometric_stereo/{{capture}}/{{round}}fov{{view}}.tsv"
     threads: 1
     resources:
-        mem_mb=memory_of(600),
+        mem_mb=memory_of(150),
+        runtime=runtime_of(1, "led"),
     params:
         folder=folder_of,
         frames=frames_of_view,

@@ -12,6 +12,7 @@ rule register_to_cylinder:
     threads: 1
     resources:
         mem_mb=memory_of(800),
+        runtime=runtime_of(0.1, "laser"),
     params:
         folder=folder_of,
         facts=facts_of,

@@ -18,7 +18,8 @@ rule report:
         f"{RESULTS}/benchmarks/report/{{tire}}.tsv"
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=of_largest(memory_of(100, fixed_mb=1500)),
+        runtime=60,
     params:
         calibrations=lambda wildcards: [
             ARCHIVE.calibration_of[capture]

@@ -11,6 +11,7 @@ rule triangulate:
     threads: 1
     resources:
         mem_mb=memory_of(20),
+        runtime=runtime_of(0.02, "laser"),
     params:
         folder=folder_of,
         facts=facts_of,

@@ -15,10 +15,8 @@ rule wear:
         f"{RESULTS}/benchmarks/wear/{{tire}}.tsv"
     threads: 1
     resources:
-        mem_mb=lambda wildcards: max(
-            memory_of(1500)({"capture": capture})
-            for capture in ARCHIVE.tires[wildcards.tire]
-        ),
+        mem_mb=of_largest(memory_of(1500)),
+        runtime=of_largest(runtime_of(0.1, "laser", "led")),
     params:
         settings=settings("wear"),
         code=code_digest("treadlight.commands.wear"),

@@ -34,6 +34,7 @@ def make(tmp_path):
             laser_scan="rows",
             laser_channel=channel,
             leds=4,
+            facts={},
             frames=frames,
         )
         return FrameReader(capture), frames

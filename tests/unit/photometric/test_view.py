@@ -159,6 +159,7 @@ class _Sample:
         from treadlight.evaluate.truth import read_true_profile, read_true_rig
         from treadlight.geometry import CylinderGrid
         from treadlight.photometric.noise import dark_noise
+        from treadlight.spool import Memory
 
         capture = read_capture(folder)
         self.rig = read_true_rig(folder / "truth" / "rig.yaml")
@@ -169,7 +170,7 @@ class _Sample:
         self.grid = CylinderGrid(profile.theta, profile.z, capture.tire.nominal_radius_mm)
         self.r = profile.r
         frames = list(capture.view(0))
-        frames, intensity, left_out = read_frames(capture, frames)
+        frames, intensity, left_out = read_frames(capture, frames, Memory())
         assert not left_out
         noise = np.array([dark_noise(frame) for frame in intensity])
         self.view = View(

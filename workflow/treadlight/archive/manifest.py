@@ -1,5 +1,6 @@
 """capture.yaml and frames.csv: read, checked field by field, never written."""
 
+import os
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -105,7 +106,8 @@ class Tire:
 class Capture:
     """One capture: the facts of capture.yaml and the rows of frames.csv.
 
-    Attributes that belong to the other kind of capture are None.
+    Attributes that belong to the other kind of capture are None; `facts` is all of capture.yaml
+    as it was written.
     """
 
     folder: Path
@@ -118,6 +120,7 @@ class Capture:
     laser_channel: str
     leds: int
     frames: tuple[Frame, ...]
+    facts: dict[str, Any]
     tire: Tire | None = None
     mileage: float | None = None
     mileage_unit: str | None = None
@@ -151,8 +154,9 @@ def read_capture(folder: Path) -> Capture:
     CaptureError
         One sentence that names file, field and remedy.
     """
+    place = _Place(folder)
     for name in ("capture.yaml", "frames.csv"):
-        if not _lies_inside(folder / name, folder):
+        if not place.holds(name):
             raise CaptureError(
                 f"{folder / name}: is a link that leaves the capture's folder. Put the file itself"
                 " there."
@@ -183,7 +187,8 @@ def read_capture(folder: Path) -> Capture:
         "laser_scan": facts.choice("laser.scan", ("rows", "columns")),
         "laser_channel": facts.choice("laser.channel", ("red", "green", "blue", "mono")),
         "leds": leds,
-        "frames": _read_frames(folder, kinds, leds),
+        "frames": _read_frames(place, kinds, leds),
+        "facts": facts.data,
     }
     if kind == "measurement":
         return Capture(**common, **_measurement_facts(facts))
@@ -326,10 +331,34 @@ class _Facts:
         return value if value.tzinfo else value.replace(tzinfo=UTC)
 
 
-def _read_frames(folder: Path, kinds: tuple[str, ...], leds: int) -> tuple[Frame, ...]:
-    path = folder / "frames.csv"
+class _Place:
+    """A capture's folder, and what lies in it; each sub-folder is looked up once."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self._root = os.path.realpath(folder)
+        self._subfolders: dict[str, bool] = {}
+
+    def has_file(self, name: str) -> bool:
+        return os.path.isfile(os.path.join(self.folder, name))
+
+    def holds(self, name: str) -> bool:
+        """Whether a file that is named from the folder lies in it, links followed."""
+        if os.path.islink(os.path.join(self.folder, name)):
+            return self._is_inside(name)
+        subfolder = os.path.dirname(name)
+        if subfolder not in self._subfolders:
+            self._subfolders[subfolder] = self._is_inside(subfolder)
+        return self._subfolders[subfolder]
+
+    def _is_inside(self, name: str) -> bool:
+        return Path(os.path.realpath(os.path.join(self._root, name))).is_relative_to(self._root)
+
+
+def _read_frames(place: _Place, kinds: tuple[str, ...], leds: int) -> tuple[Frame, ...]:
+    path = place.folder / "frames.csv"
     rows = read_rows(path, needed=("file", "kind"))
-    frames = tuple(_frame(_Row(path, number, row), folder, kinds, leds) for number, row in rows)
+    frames = tuple(_frame(_Row(path, number, row), place, kinds, leds) for number, row in rows)
     if not frames:
         raise CaptureError(f"{path}: lists no frame. Add one row per image.")
     _check_together(path, frames, rows)
@@ -369,12 +398,12 @@ class _Row:
         return value
 
 
-def _frame(row: _Row, folder: Path, kinds: tuple[str, ...], leds: int) -> Frame:
+def _frame(row: _Row, place: _Place, kinds: tuple[str, ...], leds: int) -> Frame:
     kind = row.text("kind")
     if kind not in kinds:
         raise row.error("kind", f"is {kind!r}. It must be one of {', '.join(kinds)}.")
     frame = Frame(
-        file=_safe_file(row, folder),
+        file=_safe_file(row, place),
         kind=kind,
         pose=row.integer("pose"),
         led=row.integer("led"),
@@ -395,7 +424,7 @@ def _frame(row: _Row, folder: Path, kinds: tuple[str, ...], leds: int) -> Frame:
     return frame
 
 
-def _safe_file(row: _Row, folder: Path) -> str:
+def _safe_file(row: _Row, place: _Place) -> str:
     text = row.text("file")
     posix = PurePosixPath(text)
     # What cannot be printed cannot be named in a message, a log or a report either.
@@ -403,26 +432,14 @@ def _safe_file(row: _Row, folder: Path) -> str:
         raise row.error("file", f"is {text!r}. It must be a path below the capture's folder.")
     if not text.isprintable():
         raise row.error("file", f"is {text!r}. It must be printable: rename the image.")
-    path = folder / text
-    try:
-        there = path.is_file()
-    except OSError:  # such as a name that is too long for the file system
-        there = False
-    if not there:
+    if not place.has_file(text):
         raise row.error("file", f"is {text!r}, which is not there. Add the image or drop the row.")
-    if not _lies_inside(path, folder):
+    if not place.holds(text):
         raise row.error(
             "file",
             f"is {text!r}, a link that leaves the capture's folder. Put the image itself there.",
         )
     return text
-
-
-def _lies_inside(path: Path, folder: Path) -> bool:
-    try:
-        return path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError):  # a link that leads to itself
-        return False
 
 
 def _check_together(

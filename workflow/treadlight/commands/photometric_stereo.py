@@ -6,10 +6,12 @@ LEDs used, the scene point and flags per pixel (photometric.zarr/fovNN).
 """
 
 import argparse
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from treadlight.commands import common
+from treadlight.spool import Memory, Spool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
 
     def work() -> None:
         rig = store.read_rig(args.calibration)
-        view, warnings = read_view(capture, args.view, rig, args.illumination)
+        memory = Spool(out.parent)
+        view, warnings = read_view(capture, args.view, rig, args.illumination, memory, args.threads)
         surface = store.open_store(args.surface)
         grid = grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
@@ -73,8 +76,9 @@ def run(args: argparse.Namespace) -> int:
             part["r"].to_numpy(),
             part["r_std"].to_numpy(),
             settings,
+            memory,
         )
-        dataset = _with_light(dataset_of(found), view, warnings)
+        dataset = _with_light(dataset_of(found), view, warnings, memory)
         store.write_store(out, dataset, title=title, source=capture.id)
 
     return common.run_stage(
@@ -99,11 +103,17 @@ def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
 
 
 def read_view(
-    capture: "Capture", number: int, rig: "Rig", illumination: Path
+    capture: "Capture",
+    number: int,
+    rig: "Rig",
+    illumination: Path,
+    memory: Memory | Spool | None = None,
+    threads: int = 1,
 ) -> "tuple[View, list[str]]":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
 
-    The second is why frames are left out: damaged, dark, blinded or moved, a sentence each.
+    The frames lie in `memory`; `threads` of them are decoded at once. The second is why frames are
+    left out: damaged, dark, blinded or moved, a sentence each.
 
     Raises
     ------
@@ -140,16 +150,20 @@ def read_view(
     light = store.read_illumination(illumination, rig)
     index = {led.number: k for k, led in enumerate(light.leds)}
     wanted = [f for f in capture.view(number) if f.led in index]
-    frames, intensity, left_out = read_frames(capture, wanted)
+    memory = memory or Memory()
+    frames, intensity, left_out = read_frames(capture, wanted, memory, threads)
     if len(frames) < MIN_LEDS:
         raise CaptureError(
             f"{capture.id}, view {number}: {len(frames)} of its LED frames have a calibrated LED."
             f" Specular photometric stereo needs {MIN_LEDS}; add frames or calibrate more LEDs."
             + "".join(f" {sentence}" for sentence in left_out.values())
         )
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        noise = np.array([*pool.map(dark_noise, intensity)])
+    memory.release()
     view = View(
         intensity=intensity,
-        noise=np.array([dark_noise(frame) for frame in intensity]),
+        noise=noise,
         leds=tuple(index[f.led] for f in frames if f.led is not None),
         light=light,
         camera=rig.camera,
@@ -160,7 +174,7 @@ def read_view(
 
 
 def read_frames(
-    capture: "Capture", frames: "list[Frame]"
+    capture: "Capture", frames: "list[Frame]", memory: Memory | Spool, threads: int = 1
 ) -> "tuple[list[Frame], np.ndarray, dict[str, str]]":
     """Frames of a view that show what they should, as light, each decoded once.
 
@@ -168,7 +182,7 @@ def read_frames(
     -------
     kept : list of Frame
     intensity : (n_kept, h, w) float32
-        Over exposure; NaN where saturated.
+        Over exposure, in `memory`; NaN where saturated.
     left_out : dict of str to str
         Why the others are damaged, dark, blinded or moved, by file.
     """
@@ -179,27 +193,37 @@ def read_frames(
 
     reader = FrameReader(capture)
     width, height = capture.encoding.size_px
-    intensity = np.empty((len(frames), height, width), np.float32)
+    intensity = memory.empty((len(frames), height, width), np.float32)
     known = [f.exposure_s for f in frames if f.exposure_s]
     # An exposure that is not known makes all of the view count as equal.
     exposures = known if len(known) == len(frames) else [1.0] * len(frames)
-    left_out, looks = {}, {}
-    for m, (frame, exposure) in enumerate(zip(frames, exposures, strict=True)):
+
+    def look(m: int) -> "doubts.Look | str":
         try:
-            linear = reader.read(frame)
+            linear = reader.read(frames[m])
         except CaptureError as error:
-            left_out[frame.file] = str(error)
-            continue
-        looks[frame.file] = doubts.look_at(linear)
-        intensity[m] = np.where(linear.saturated, np.nan, linear.intensity / np.float32(exposure))
+            return str(error)
+        seen = doubts.look_at(linear)
+        np.divide(linear.intensity, np.float32(exposures[m]), out=intensity[m])
+        intensity[m][linear.saturated] = np.nan
+        memory.release()
+        return seen
+
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        seen = dict(zip([f.file for f in frames], pool.map(look, range(len(frames))), strict=True))
+    left_out = {file: reason for file, reason in seen.items() if isinstance(reason, str)}
+    looks = {file: found for file, found in seen.items() if not isinstance(found, str)}
     left_out |= doubts.doubts_of_view(looks, capture.laser_scan)
     kept = [m for m, frame in enumerate(frames) if frame.file not in left_out]
-    if len(kept) < len(frames):
-        intensity = intensity[kept]
-    return [frames[m] for m in kept], intensity, left_out
+    for place, m in enumerate(kept):
+        if place != m:
+            intensity[place] = intensity[m]
+    return [frames[m] for m in kept], intensity[: len(kept)], left_out
 
 
-def _with_light(dataset: "xr.Dataset", view: "View", warnings: list[str]) -> "xr.Dataset":
+def _with_light(
+    dataset: "xr.Dataset", view: "View", warnings: list[str], memory: Memory | Spool
+) -> "xr.Dataset":
     """Add what the views of a capture are compared by, and what was left out of this one."""
     import numpy as np
 
@@ -207,10 +231,13 @@ def _with_light(dataset: "xr.Dataset", view: "View", warnings: list[str]) -> "xr
     from treadlight.images import doubts
 
     numbers = np.array([view.light.leds[k].number for k in view.leds])
-    patterns = np.stack([doubts.light_pattern(frame) for frame in view.intensity])
+    patterns = []
+    for frame in view.intensity:
+        patterns.append(doubts.light_pattern(frame))
+        memory.release()
     dims, text = ("led", "row", "column"), "logarithm of the light in blocks of the image"
     dataset = dataset.assign(
-        {"light_pattern": store.variable(dims, patterns, "1", text)}
+        {"light_pattern": store.variable(dims, np.stack(patterns), "1", text)}
     ).assign_coords({"led": store.variable(("led",), numbers, "1", "LED number")})
     return dataset.assign_attrs(warnings=warnings) if warnings else dataset
 

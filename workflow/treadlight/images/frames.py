@@ -1,6 +1,7 @@
 """From stored counts to corrected intensity, as capture-format.md defines it."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -35,11 +36,9 @@ class FrameReader:
 
     def __init__(self, capture: Capture, subtract_dark: bool = True):
         self.capture = capture
-        darks = [self._decode(frame) for frame in capture.of_kind("dark") if subtract_dark]
-        self._dark: np.ndarray | None = None
-        if darks:
-            linear = [_as_channels(self._linear(counts)) for counts in darks]
-            self._dark = np.asarray(np.mean(linear, axis=0, dtype=np.float64), np.float32)
+        self._dark = _mean(
+            self._linear(self._decode(frame)) for frame in capture.of_kind("dark") if subtract_dark
+        )
 
     def read(self, frame: Frame) -> LinearFrame:
         """The frame as light: `laser.channel` for laser frames, the mean of channels else.
@@ -51,9 +50,11 @@ class FrameReader:
         """
         counts = self._decode(frame)
         channels = self._select(counts, frame)
-        saturated = np.any(channels >= self.capture.encoding.white_level, axis=2)
+        saturated = np.greater_equal(channels, self.capture.encoding.white_level)
         linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
-        return LinearFrame(linear.mean(axis=2, dtype=np.float32), saturated)
+        if linear.shape[2] == 1:
+            return LinearFrame(linear[:, :, 0], saturated[:, :, 0])
+        return LinearFrame(linear.mean(axis=2, dtype=np.float32), np.any(saturated, axis=2))
 
     def _decode(self, frame: Frame) -> np.ndarray:
         path = self.capture.path(frame)
@@ -118,9 +119,18 @@ def _pixels(data: bytes) -> np.ndarray | None:
         return None
 
 
-def _as_channels(linear: np.ndarray) -> np.ndarray:
-    """A mono dark frame applies to every channel."""
-    return linear if linear.shape[2] >= 3 else np.repeat(linear[:, :, :1], 3, axis=2)
+def _mean(frames: Iterable[np.ndarray]) -> np.ndarray | None:
+    """Mean (h, w, 1 or 3) float32 of frames, of which one is held at a time; None of none.
+
+    A mono frame applies to every channel: it stays one, unless another frame has three.
+    """
+    total: np.ndarray | None = None
+    count = 0
+    for frame in frames:
+        light = frame if frame.shape[2] >= 3 else frame[:, :, :1]
+        total = light.astype(np.float64) if total is None else total + light
+        count += 1
+    return None if total is None else np.asarray(total / count, np.float32)
 
 
 def _to_linear(value: np.ndarray, curve: str) -> np.ndarray:

@@ -24,7 +24,9 @@ from treadlight.photometric.observations import (
 )
 from treadlight.photometric.settings import PhotometrySettings
 from treadlight.photometric.sps import sps, typical_misfit
+from treadlight.spool import Memory, Spool
 
+IN_MEMORY = Memory()
 # Pixels per chunk: keeps 16 LEDs' vectors and masks below 32 MiB.
 _CHUNK_PX = 1 << 16
 _SAMPLE_PX = 20_000
@@ -107,8 +109,9 @@ def solve_view(
     r: np.ndarray,
     r_std: np.ndarray,
     settings: PhotometrySettings,
+    memory: Memory | Spool = IN_MEMORY,
 ) -> ViewNormals:
-    """Specular photometric stereo at every pixel of a view.
+    """Specular photometric stereo at every pixel of a view, chunk by chunk.
 
     Parameters
     ----------
@@ -117,6 +120,8 @@ def solve_view(
     r, r_std : (n_theta, n_z) float
         The current surface and its standard uncertainty, mm; NaN where unknown.
     settings : PhotometrySettings
+    memory : Memory or Spool
+        Where the maps lie (54 bytes per pixel), handed back after each chunk.
 
     Returns
     -------
@@ -129,15 +134,18 @@ def solve_view(
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
     observed, _, _ = _observe(view, patch, obstacles, sample)
     estimator = _estimator(observed, settings)
-    maps = _empty_maps(total)
+    maps = _empty_maps(total, memory)
     for pixels in _chunks(total):
         observed, points, quality = _observe(view, patch, obstacles, pixels)
         _place(maps, pixels, estimator(observed), points, quality, view.encoder)
+        memory.release()
     poor = _is_poor(maps.residual)
     maps.quality[poor] |= POOR_FIT
     found = _reshaped(maps, height, width)
     scale = covariance_scale(found.normal, found.normal_cov, found.theta, found.z, found.r)
-    return replace(found, normal_cov=found.normal_cov * np.float32(scale**2))
+    np.multiply(found.normal_cov, np.float32(scale**2), out=found.normal_cov)
+    memory.release()
+    return found
 
 
 def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
@@ -248,6 +256,7 @@ def _observe(
     points = scene.cast(patch, origin, _pixel_directions(view, pixels))
     lit = scene.lit(obstacles, points, leds)
     phi, z, r = points.T
+    local = _LocalBasis.at(points)
     theta = phi - view.encoder
     in_camera = view.axis.to_camera(theta, z, r, view.encoder)
     counts = view.intensity.reshape(len(leds), -1)[:, pixels]
@@ -260,37 +269,52 @@ def _observe(
         with np.errstate(divide="ignore", invalid="ignore"):
             intensity[m] = counts[m] / irradiance
             noise[m] = view.noise[m] / irradiance
-        lights[m] = _unit(_local(leds[m], points))
+        lights[m] = _unit(local.vectors_to(leds[m]))
     saturated = np.isnan(counts)
     outside = np.isnan(r)
     usable = lit & ~saturated & np.isfinite(intensity)
     quality = np.where(outside, OUTSIDE, np.uint8(0))
     quality |= np.where(~outside & (~lit).any(axis=0), SHADOWED, np.uint8(0))
     quality |= np.where(~outside & saturated.any(axis=0), SATURATED, np.uint8(0))
-    views = _unit(_local(origin, points)).astype(np.float32)
+    views = _unit(local.vectors_to(origin)).astype(np.float32)
     return Observations(intensity, lights, views, usable, noise), points, quality
 
 
-def _local(target: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) from points (phi, z, r) to a place in {V}, in the points' local basis."""
-    phi, z, r = points.T
-    c, s = np.cos(phi), np.sin(phi)
-    x, y = target[0], target[1]
-    return np.stack([c * x + s * y - r, c * y - s * x, target[2] - z], axis=-1)
+@dataclass(frozen=True)
+class _LocalBasis:
+    """The bases (r, theta, z) at points of {V}: cosine and sine of phi, z and r, (n,) each."""
+
+    cosine: np.ndarray
+    sine: np.ndarray
+    z: np.ndarray
+    r: np.ndarray
+
+    @classmethod
+    def at(cls, points: np.ndarray) -> "_LocalBasis":
+        phi, z, r = points.T
+        return cls(np.cos(phi), np.sin(phi), z, r)
+
+    def vectors_to(self, target: np.ndarray) -> np.ndarray:
+        """Vectors (n, 3) from the points to a place in {V}."""
+        c, s = self.cosine, self.sine
+        x, y = target[0], target[1]
+        return np.stack([c * x + s * y - self.r, c * y - s * x, target[2] - self.z], axis=-1)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _empty_maps(total: int) -> ViewNormals:
+def _empty_maps(total: int, memory: Memory | Spool) -> ViewNormals:
     def floats(*size: int) -> np.ndarray:
-        return np.empty((total, *size), np.float32)
+        return memory.empty((total, *size), np.float32)
 
-    counts = np.empty(total, np.uint8)
+    def counts() -> np.ndarray:
+        return memory.empty((total,), np.uint8)
+
     return ViewNormals(
-        floats(3), floats(3), floats(), floats(), floats(), floats(), counts,
-        floats(), floats(), floats(), counts.copy(),
+        floats(3), floats(3), floats(), floats(), floats(), floats(), counts(),
+        floats(), floats(), floats(), counts(),
     )  # fmt: skip
 
 
@@ -320,8 +344,9 @@ def _is_poor(residual: np.ndarray) -> np.ndarray:
     known = logarithm[np.isfinite(logarithm)]
     if not known.size:
         return np.zeros(residual.shape, bool)
-    middle = np.median(known)
-    spread = _MAD_TO_STD * np.median(np.abs(known - middle))
+    middle = np.median(known, overwrite_input=True)
+    known -= middle
+    spread = _MAD_TO_STD * np.median(np.abs(known, out=known), overwrite_input=True)
     return logarithm > middle + _POOR_SIGMAS * spread
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from treadlight.archive import Capture, Frame
-from treadlight.archive.documents import read_yaml
 from treadlight.errors import CaptureError
 from treadlight.images import check_frame
 
@@ -80,8 +79,7 @@ class FrameDigests:
 def facts_digest(capture: Capture) -> str:
     """Digest of what capture.yaml says and of the angles in frames.csv, not of any pixel."""
     angles = sorted({(f.kind, f.pose or 0, f.encoder_deg or 0.0) for f in capture.frames})
-    facts = read_yaml(capture.folder / "capture.yaml")
-    text = json.dumps([facts, angles], default=str, sort_keys=True)
+    text = json.dumps([capture.facts, angles], default=str, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

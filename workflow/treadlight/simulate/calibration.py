@@ -8,7 +8,7 @@ from numba import njit, prange
 from treadlight.archive.manifest import Board
 from treadlight.geometry import Led
 from treadlight.simulate import kernels
-from treadlight.simulate.render import CARD_ALBEDO, beam_irradiance
+from treadlight.simulate.render import CARD_ALBEDO, MANY_PIXELS, beam_irradiance
 from treadlight.simulate.rig import TREAD_DISTANCE_MM, SimulatedRig, board_outline
 
 _WHITE, _BLACK = 0.8, 0.07
@@ -16,7 +16,6 @@ _FWHM_PER_SIGMA = 2.3548200450309493
 _CHROME = 0.6
 # A pixel is the mean of so many rays; images with millions of pixels make do with fewer.
 _RAYS, _FEW_RAYS = 16, 4
-_MANY_PIXELS = 4_000_000
 # An LED's image in a ball is far under a pixel; its blob is the lens's and the chip's.
 _HIGHLIGHT_SIGMA_PX = 0.7
 
@@ -67,7 +66,7 @@ def _rays(image: np.ndarray) -> np.ndarray:
     Hammersley's points: no two share a row or column, so that an edge along the pixels lies
     within 1/2n of a pixel and not, as on a square grid, within 1/2 sqrt(n).
     """
-    count = _RAYS if image.size < _MANY_PIXELS else _FEW_RAYS
+    count = _RAYS if image.size < MANY_PIXELS else _FEW_RAYS
     bits = count.bit_length() - 1
     mirrored = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(count)]
     return (np.column_stack([np.arange(count), mirrored]) + 0.5) / count - 0.5

@@ -16,8 +16,9 @@ REFERENCE_DISTANCE_MM = 400.0
 # Dark rubber: diffuse albedo, GGX roughness, reflectance at normal incidence.
 ALBEDO, ROUGHNESS, F0 = 0.05, 0.27, 0.045
 CARD_ALBEDO = 0.18
-# Every pixel is the mean of 2x2 rays.
+# A pixel is the mean of 2x2 rays; one alone where pixels are finer than what is rendered.
 _RAYS = 2
+MANY_PIXELS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ def render_leds(
     field = scene.field
     _render_rows(
         out,
+        _RAYS if width * height < MANY_PIXELS else 1,
         first,
         scene.sim.lens,
         shift,
@@ -117,13 +119,13 @@ def material(tile, theta, z, r, envelope_r):
 
 
 @njit(cache=True, parallel=True)
-def _render_rows(out, first, lens, o, rotation, grid, envelope, meta, leds, tile):
-    weight = 1.0 / (_RAYS * _RAYS)
+def _render_rows(out, rays, first, lens, o, rotation, grid, envelope, meta, leds, tile):
+    weight = 1.0 / (rays * rays)
     for i in prange(out.shape[1]):
         for u in range(out.shape[2]):
-            for sub in range(_RAYS * _RAYS):
-                su = u + (sub % _RAYS + 0.5) / _RAYS - 0.5
-                sv = first + i + (sub // _RAYS + 0.5) / _RAYS - 0.5
+            for sub in range(rays * rays):
+                su = u + (sub % rays + 0.5) / rays - 0.5
+                sv = first + i + (sub // rays + 0.5) / rays - 0.5
                 dx, dy, dz = kernels.ray(su, sv, lens, rotation)
                 t = kernels.first_hit(grid, envelope, meta, o, dx, dy, dz)
                 if t < 0.0:

@@ -1,0 +1,150 @@
+"""make bench-full: a sector at full size through the stages, and what a whole capture would take.
+
+One view of 16 LED frames and 12 sections of 5120x7680 pixels, rendered once and kept. Every stage
+runs as its command does under Snakemake, on two cores; its time, processor time and largest memory
+are those of its process. The whole capture (200 sections, 17 views) is extrapolated: sections and
+views by their number, the integration by the cells of the grid. Ends with one line of JSON.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sector
+
+from treadlight import store
+from treadlight.archive import read_capture
+
+_SECTIONS, _VIEWS = 200, 17
+_ASKED = {
+    "view_s": 60,
+    "view_gib": 3,
+    "section_s": 1.5,
+    "whole_minutes": 30,
+    "whole_gib": 8,
+}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("build/bench-full"))
+    parser.add_argument("--cores", type=int, default=2)
+    args = parser.parse_args()
+    capture = sector.render(args.out / "archive", say)
+    eight = sector.with_8_bits(capture, args.out)
+    calibration, illumination = sector.write_calibration(capture, args.out)
+    stages = Stages(args.out / "results", args.cores)
+    results = stages.folder
+    lit = ["--calibration", calibration]
+    points, laser = results / "laser_points.zarr", results / "laser.zarr"
+    surface, view = results / "surface.zarr", results / "photometric.zarr/fov00"
+    pixels = results / "laser_pixels.zarr"
+    stages.run("detect-laser-pixels", eight, "--out", pixels)
+    stages.run("triangulate", pixels, "--capture", capture, *lit, "--out", points)
+    stages.run(
+        "register-to-cylinder", points, "--capture", capture, *lit,
+        "--out", laser, "--surface", surface,
+    )  # fmt: skip
+    stages.run(
+        "photometric-stereo", capture, "--view", "0", *lit,
+        "--illumination", illumination, "--surface", surface, "--out", view,
+    )  # fmt: skip
+    stages.run(
+        "integrate", capture, *lit, "--surface", surface, "--laser", laser, "--views", view,
+        "--out", results / "profile.zarr", "--quality", results / "quality.json",
+    )  # fmt: skip
+    sections = len(read_capture(eight).of_kind("laser"))
+    found = summary(stages.taken, section_s(eight), sections, cells_of(surface))
+    print(json.dumps(found))
+    return 0
+
+
+class Stages:
+    """Runs the commands and keeps what each took."""
+
+    def __init__(self, folder: Path, cores: int):
+        self.folder, self.cores = folder, cores
+        self.taken: dict[str, dict[str, float]] = {}
+
+    def run(self, command: str, *arguments: Any) -> None:
+        parts = [sys.executable, "-m", "treadlight.cli", command, *map(str, arguments)]
+        began = time.monotonic()
+        process = subprocess.Popen([*parts, "--threads", str(self.cores)], env=os.environ)
+        _, status, usage = os.wait4(process.pid, 0)
+        if status:
+            sys.exit(f"{command} exits {os.waitstatus_to_exitcode(status)}.")
+        self.taken[command] = {
+            "wall_s": round(time.monotonic() - began, 1),
+            "processor_s": round(usage.ru_utime + usage.ru_stime, 1),
+            "peak_gib": round(usage.ru_maxrss / (1 << 20), 2),
+        }
+        say(f"{command}: {self.taken[command]}")
+
+
+def section_s(capture: Path, runs: int = 5) -> float:
+    """Decoding one section and finding its line, on one core: the median of a few."""
+    from treadlight.images import FrameReader
+    from treadlight.laser import detect_section, learn_line_model, select_path
+
+    facts = read_capture(capture)
+    reader, frames = FrameReader(facts), facts.of_kind("laser")
+    image = reader.read(frames[0])
+    model = learn_line_model([(image.intensity, image.saturated)])
+    times = []
+    for frame in frames[:runs]:
+        began = time.process_time()
+        image = reader.read(frame)
+        found = detect_section(image.intensity, image.saturated, model)
+        select_path(found, model)
+        times.append(time.process_time() - began)
+    return float(np.median(times))
+
+
+def cells_of(surface: Path) -> tuple[int, float]:
+    """Cells of the sector's grid, and how many times as many the whole turn has."""
+    data = store.open_store(surface)
+    step = float(np.diff(data["theta"].values[:2])[0])
+    return data["r"].size, 2 * np.pi / (step * data.sizes["theta"])
+
+
+def summary(taken: dict, section: float, sections: int, cells: tuple[int, float]) -> dict[str, Any]:
+    """The figures, and the whole capture's by extrapolation."""
+    count, turns = cells
+    more_sections = _SECTIONS / sections
+    scale = {
+        "detect-laser-pixels": more_sections,
+        "triangulate": more_sections,
+        "register-to-cylinder": turns,
+        "photometric-stereo": _VIEWS,
+        "integrate": turns,
+    }
+    grows = ("register-to-cylinder", "integrate")
+    whole_s = sum(scale[name] * stage["wall_s"] for name, stage in taken.items())
+    whole_gib = max(
+        stage["peak_gib"] * (turns if name in grows else 1) for name, stage in taken.items()
+    )
+    view = taken["photometric-stereo"]
+    figures = {
+        "view_s": view["wall_s"],
+        "view_gib": view["peak_gib"],
+        "section_s": round(section, 2),
+        "whole_minutes": round(whole_s / 60, 1),
+        "whole_gib": round(whole_gib, 1),
+    }
+    missed = [name for name, limit in _ASKED.items() if figures[name] > limit]
+    grid = {"sector_cells": count, "whole_turn_cells": round(count * turns)}
+    return {"stages": taken, **grid, **figures, "whole": "extrapolated", "missed": missed}
+
+
+def say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
