@@ -1,6 +1,7 @@
 """Where two sections disagree and no view looks: cells that nothing says anything of."""
 
 import numpy as np
+from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.laser import LaserCells
@@ -10,6 +11,8 @@ _APART_SIGMA = 4.0
 # A lip is evenly likely anywhere between two sections: in the middle third of the way neither of
 # them is twice as likely to be right.
 _EVEN = (1 / 3, 2 / 3)
+# Fewer neighbouring columns are stray points.
+_LEAST_COLUMNS = 3
 
 
 def undecided(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
@@ -38,4 +41,4 @@ def undecided(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
             gap = row[k + 1] - row[k]
             first, last = np.ceil(row[k] + _EVEN[0] * gap), np.floor(row[k] + _EVEN[1] * gap)
             mask[np.arange(first, last + 1, dtype=int) % n, j] = True
-    return mask
+    return ndimage.binary_opening(mask, np.ones((1, _LEAST_COLUMNS)))
