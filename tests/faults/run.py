@@ -12,7 +12,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,15 @@ def _call(task: tuple) -> tuple[str, str | None]:
     return work(*arguments)
 
 
+@contextmanager
+def _copied(project: Path, place: Path) -> Iterator[Path]:
+    """A copy of the project for one trial."""
+    try:
+        yield copy_project(project, place)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
 def _damages(args: argparse.Namespace, project: Path, place: Path) -> str:
     measurement, calibration = captures_of(project)
     healthy = Healthy(measurement, calibration, project / "results")
@@ -134,13 +144,9 @@ def _kills(args: argparse.Namespace, project: Path, place: Path) -> str:
 def _kill(
     command: list[str], project: Path, reference: dict[str, str], place: Path, seed: tuple
 ) -> tuple[str, str | None]:
-    copy = copy_project(project, place)
-    try:
-        return " ".join(command[:3]), survive_kill(
-            command, copy, reference, np.random.default_rng(seed)
-        )
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
+    with _copied(project, place) as copy:
+        lost = survive_kill(command, copy, reference, np.random.default_rng(seed))
+    return " ".join(command[:3]), lost
 
 
 def _two_at_once(args: argparse.Namespace, project: Path, place: Path) -> str:
@@ -154,11 +160,8 @@ def _two_at_once(args: argparse.Namespace, project: Path, place: Path) -> str:
 def _two(
     command: list[str], project: Path, reference: dict[str, str], place: Path
 ) -> tuple[str, str | None]:
-    copy = copy_project(project, place)
-    try:
+    with _copied(project, place) as copy:
         return command[1], survive_two_at_once(command, copy, reference)
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
 
 
 def _little_memory(args: argparse.Namespace, project: Path, place: Path) -> str:
@@ -175,11 +178,8 @@ def _little_memory(args: argparse.Namespace, project: Path, place: Path) -> str:
 def _little(
     command: list[str], project: Path, reference: dict[str, str], place: Path, mib: int
 ) -> tuple[str, str | None]:
-    copy = copy_project(project, place)
-    try:
+    with _copied(project, place) as copy:
         return command[1], survive_little_memory(command, copy, reference, mib)
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
 
 
 def _snakemake_kills(args: argparse.Namespace, project: Path, place: Path) -> str:
