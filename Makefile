@@ -39,7 +39,7 @@ browser: ## Install Chromium for the tests of the pages, where that is allowed
 test: setup browser ## Run all tests, with coverage
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
 
-test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (up to half an hour)
+test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (long)
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tests/faults/run.py --jobs $(CORES)
 
 test-repro: setup ## Two fresh clones, on one core and on two, give the same digests
@@ -62,10 +62,10 @@ bench-speed: setup ## How fast the kernels are, beside plain versions of the sam
 	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
 	  NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
 
-bench-plan: setup ## Plan an archive of 1,000 captures: time, memory, what is added, what fails (half an hour)
+bench-plan: setup ## Plan an archive of 1,000 captures: time, memory, what is added, what fails (long)
 	$(BIN)/python tests/benchmarks/plan/study.py
 
-bench-full: setup ## A sector at full size through every stage; renders it first (8 GB in build/, half an hour)
+bench-full: setup ## A sector at full size through every stage; renders it first (8 GB in build/; long)
 	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
 	  $(BIN)/python tests/benchmarks/full/study.py --cores $(CORES)
 
