@@ -160,8 +160,11 @@ def test_no_section_is_held_out_when_none_is_asked_for(capture):
 def test_laser_only_gives_the_first_surface(capture):
     grid, sections, surface, _ = capture
     profile = integrate_capture([], sections, surface, grid, 0)
-    error = error_of(profile, grid)[:, classes(grid)[0]]
-    assert np.isfinite(profile.r).all()
+    top, floor = classes(grid)[:2]
+    error = error_of(profile, grid)[:, top]
+    # At a wall one section may meet the lip and the next the floor: nothing tells in between.
+    assert np.isfinite(profile.r[:, top | floor]).all()
+    assert np.isfinite(profile.r).mean() > 0.99
     assert not profile.photometric.any()
     assert np.median(np.abs(error)) < 2 * LASER_STD
     assert np.isnan(profile.normal_residual[0])

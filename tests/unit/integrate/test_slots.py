@@ -191,6 +191,37 @@ def test_cuts_across_the_end_of_a_whole_turn_are_one():
     np.testing.assert_allclose(closed.r, radius, atol=1e-9)
 
 
+def test_the_tread_is_where_sections_pass_by_the_slots_even_if_most_meet_one(rng):
+    """Five of seven neighbouring sections lie in slots: their median is a slot's floor."""
+    grid = CylinderGrid((np.arange(240) - 120) * STEP / RADIUS, np.arange(-5, 5, STEP), RADIUS)
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    at = (np.arange(-58, 59, 6) + 0.25) / RADIUS
+    met = np.abs(np.arange(len(at)) - 9.5) < 4
+    met[[7, 12]] = False
+    cut = (np.abs(theta[..., None] - at[met]) < 4 * STEP / RADIUS).any(axis=-1)
+    normal = np.zeros((*theta.shape, 3))
+    normal[..., 0] = 1
+    normal[..., 1:] = rng.normal(0, TILT_STD, (*theta.shape, 2))
+    none = np.zeros(theta.shape, bool)
+    view = ViewNormals(
+        normal, np.full((*theta.shape, 3), TILT_STD**2), np.full(theta.shape, RADIUS), theta, z,
+        normal, none, none, cut,
+    )  # fmt: skip
+    line = at[:, None] + 0 * grid.z
+    value = RADIUS - SLOT_MM * met[:, None] + 0 * line
+    laser = laser_cells(
+        value, line, np.broadcast_to(grid.z, line.shape), np.full(line.shape, LASER_STD),
+        np.zeros((2, *grid.shape)), grid,
+    )  # fmt: skip
+    start = value[np.abs(grid.theta[:, None] - at).argmin(axis=1)]
+    closed = close_cuts(
+        [view_field(view, grid)], start, LASER_STD, laser, lambda r: 0 * r, 12.0, grid
+    )
+    assert met.sum() > 5
+    np.testing.assert_allclose(closed.r, RADIUS, atol=1e-9)
+    np.testing.assert_array_equal(closed.on_tread, laser.value == RADIUS)
+
+
 def test_a_slot_is_closed_where_its_section_lost_the_line(grid, view, sections, surface, places):
     """The first surface holds there what it took from the columns beside: the slot's floor."""
     theta, z = places

@@ -40,6 +40,7 @@ _BESIDE_CELLS = 1.5
 _ASIDE = 0.5
 # Sections on either side that tell where the tread is.
 _SECTIONS = 3
+_LEAST_CALM = 3
 # Of the tread's depth: what is deeper is a groove's floor or wall.
 _GROOVE_DEPTH = 0.25
 # Of the way from a dark line's edge to where it is darkest.
@@ -114,7 +115,8 @@ def close_cuts(
     broken = find_patches(_breaks(cues, grid) | (lines > 0), grid)
     count = len(laser.value)
     sections = _completed(laser, start, std, grid)
-    off = _off_tread(sections, broken, std, grid)
+    around = np.median(depth(start), axis=0) > _GROOVE_DEPTH
+    off = _off_tread(sections, broken, around, std, grid)
     # What the first surface says where no point is tells of slots, not where the tread is.
     kept = off | (np.arange(len(off)) < count)
     sections, off = sections.select(kept), off[kept]
@@ -138,7 +140,8 @@ def _lost(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
     In a narrow cut the line breaks: part of it lies on the lips, part is lost, and the middle of
     what is left is moved either way.
     """
-    away = np.abs(_median_along(laser, grid) - laser.value)
+    everywhere = np.ones(len(laser.value), bool)
+    away = np.abs(_median_along(laser, everywhere, grid) - laser.value)
     return (away > _OFF_SIGMA * std) | (laser.std > _OFF_SIGMA * std)
 
 
@@ -258,31 +261,64 @@ def _breaks(cues: Cues, grid: CylinderGrid) -> np.ndarray:
     return broken.select(broken.share(poor | (tilted > _SURELY_TILTED)) > 0).mask
 
 
-def _off_tread(laser: LaserCells, broken: Patches, std: float, grid: CylinderGrid) -> np.ndarray:
-    """Points (k,) in or at a cut that are far off the same column of the sections beside it."""
+def _off_tread(
+    laser: LaserCells, broken: Patches, around: np.ndarray, std: float, grid: CylinderGrid
+) -> np.ndarray:
+    """Points (k,) in or at a cut that are far off the same column of the sections beside it.
+
+    Where wide slots come in quick succession most sections meet one: those that pass by all cuts
+    say where the tread is. Not so in columns (m,) of grooves `around` the tire, where a wear bar
+    may be all that looks like tread.
+    """
     if not broken.count:
         return np.zeros(len(laser.value), bool)
-    deviation = np.abs(laser.value - _median_along(laser, grid))
-    usual = np.hypot(std, laser.std)
     away = way_out(~broken.mask, grid)[laser.row, laser.column]
+    calm = (away > _BESIDE_CELLS) | around[laser.column]
+    deviation = np.abs(laser.value - _median_along(laser, calm, grid))
+    usual = np.hypot(std, laser.std)
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
+    beside = away <= _BESIDE_CELLS
+    unsure = (laser.std > _OFF_SIGMA * std) & ~around[laser.column]
     off = (deviation > _OFF_SIGMA * usual) & (away <= aside)
-    return off | ((deviation > _BESIDE_SIGMA * usual) & (away <= _BESIDE_CELLS))
+    return off | (beside & (unsure | (deviation > _BESIDE_SIGMA * usual)))
 
 
-def _median_along(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:
-    """Median (k,) of each point's column over the sections around it."""
+def _median_along(laser: LaserCells, calm: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Median (k,) of each point's column over the nearest calm points (k,) on either side.
+
+    Over all where a column has hardly any calm ones.
+    """
     median = np.empty(len(laser.value))
     order, bounds = _by_column(laser, grid)
     for j in range(grid.shape[1]):
         points = order[bounds[j] : bounds[j + 1]]
-        if not len(points):
-            continue
-        side = min(_SECTIONS, len(points) - 1)
-        padded = np.pad(laser.value[points], side, mode="wrap" if grid.periodic else "reflect")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
-        median[points] = np.median(windows, axis=1)
+        if len(points):
+            chosen = np.flatnonzero(calm[points])
+            if len(chosen) < _LEAST_CALM:
+                chosen = np.arange(len(points))
+            near = _nearest(chosen, len(points), grid.periodic)
+            values = np.append(laser.value[points], np.nan)
+            median[points] = np.nanmedian(values[near], axis=1)
     return median
+
+
+def _nearest(chosen: np.ndarray, count: int, periodic: bool) -> np.ndarray:
+    """Of `count` points in a row, the nearest chosen ones to each on either side, and itself.
+
+    (count, k) indices; -1 where there is none, or it is not chosen itself.
+    """
+    number = np.arange(count)
+    left = np.searchsorted(chosen, number, "left")[:, None]
+    right = np.searchsorted(chosen, number, "right")[:, None]
+    side = min(_SECTIONS, max(1, (len(chosen) - 1) // 2)) if periodic else _SECTIONS
+    step = np.arange(side)
+    index = np.concatenate([left - 1 - step, right + step], axis=1)
+    if periodic:
+        near = chosen[index % len(chosen)]
+    else:
+        inside = (index >= 0) & (index < len(chosen))
+        near = np.where(inside, chosen[np.clip(index, 0, len(chosen) - 1)], -1)
+    return np.concatenate([near, np.where(left < right, number[:, None], -1)], axis=1)
 
 
 def _interpolated(
