@@ -9,35 +9,10 @@ import tempfile
 from pathlib import Path
 
 import treadlight
+from treadlight.commands.names import COMMANDS
 from treadlight.errors import ConfigError, sentence_of
 from treadlight.memory import require_address_space
 
-# Command name -> module below treadlight.commands, in the order of the pipeline.
-COMMANDS = {
-    "inspect": "inspect_capture",
-    "calibrate-camera": "calibrate_camera",
-    "calibrate-laser-plane": "calibrate_laser_plane",
-    "calibrate-axis": "calibrate_axis",
-    "calibrate-leds": "calibrate_leds",
-    "calibrate-illumination": "calibrate_illumination",
-    "calibrate": "calibrate",
-    "detect-laser-pixels": "detect_laser_pixels",
-    "triangulate": "triangulate",
-    "register-to-cylinder": "register_to_cylinder",
-    "photometric-stereo": "photometric_stereo",
-    "integrate": "integrate",
-    "wear": "wear",
-    "report": "report",
-    "index": "index",
-    "check": "check_capture",
-    "export": "export",
-    "status": "status",
-    "verify": "verify",
-    "evaluate": "evaluate",
-    "budget": "budget",
-    "normals": "normals",
-    "simulate": "simulate",
-}
 _THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
 _PACKAGE = Path(treadlight.__file__).parent
 

@@ -9,6 +9,7 @@ import pytest
 
 from treadlight import store
 from treadlight.cli import main
+from treadlight.planning.code import code_digest
 
 PROFILES = ["captures/a/profile.zarr", "captures/b/profile.zarr/zarr.json"]
 
@@ -229,6 +230,21 @@ def test_views_that_a_capture_no_longer_has_are_no_products(results):
     files = index(results)[1]["files"]
     assert not [name for name in files if name.startswith("captures/a/photometric.zarr")]
     assert [name for name in files if name.startswith("captures/b/photometric.zarr/fov00")]
+
+
+def test_status_tells_what_is_stale_and_why(results, capsys):
+    profile, out = results / "captures/a/profile.zarr", results / "exports/a/height.png"
+    assert main(["export", "png", str(profile), str(out), "--code", "of-then"]) == 0
+    main(["status", str(results)])
+    assert "exports/a/height.png: made by other code" in capsys.readouterr().out
+    now = code_digest("treadlight.commands.export")
+    assert main(["export", "png", str(profile), str(out), "--code", now]) == 0
+    main(["status", str(results)])
+    assert "Stale" not in capsys.readouterr().out
+    shutil.rmtree(profile)
+    shutil.copytree(results / "captures/b/profile.zarr", profile)
+    main(["status", str(results)])
+    assert "exports/a/height.png: captures/a/profile.zarr has changed" in capsys.readouterr().out
 
 
 def test_status_without_results_names_the_remedy(tmp_path, capsys):

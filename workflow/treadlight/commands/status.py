@@ -1,6 +1,10 @@
-"""Say what a results folder holds, what was refused and what is missing.
+"""Say what a results folder holds, what was refused, what is missing and what is stale.
 
-Exits 1 while anything is refused, 0 otherwise.
+Stale is what other code made, or what was made from products that have changed since; what a
+changed config or new frames would renew, `snakemake --dry-run` tells. Exits 1 while anything is
+refused, 0 otherwise.
+
+Example: treadlight status results
 """
 
 import argparse
@@ -48,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             f"{state}: is not there. Run snakemake first, or name the folder of its results."
         )
     outcome = read_outcome(args.results, state)
-    print("\n".join(describe(outcome)))
+    print("\n".join([*describe(outcome), *describe_stale(find_stale(args.results))]))
     return 1 if outcome.refused else 0
 
 
@@ -67,6 +71,40 @@ def read_outcome(results: Path, state: Path) -> Outcome:
         elif reason := store.refused_reason(path):
             refused.setdefault(owner, reason)
     return Outcome(content, refused, missing, _warnings(results, content))
+
+
+def find_stale(results: Path) -> dict[str, str]:
+    """Why a product is not what snakemake would make now, by its path below the results."""
+    from functools import cache
+
+    from treadlight.commands import provenance
+    from treadlight.commands.names import COMMANDS
+    from treadlight.planning.code import code_digest
+
+    code_now = cache(code_digest)
+    found = {}
+    for path in provenance.provenance_files(results):
+        content = provenance.read_provenance(path)
+        if content is None:
+            continue
+        name = path.relative_to(results).as_posix().removesuffix(provenance.SUFFIX)
+        module = f"treadlight.commands.{COMMANDS[content['command']]}"
+        if told := provenance.changed_input(results, content):
+            found[name] = f"{told} has changed since"
+        elif content["code_digest"] not in ("", code_now(module)):
+            found[name] = "made by other code"
+    return found
+
+
+def describe_stale(stale: dict[str, str]) -> list[str]:
+    """Lines for people."""
+    if not stale:
+        return []
+    return [
+        "",
+        f"Stale: {len(stale)} products, and what is made from them. Run snakemake to renew them.",
+        *(f"  {name}: {why}" for name, why in sorted(stale.items())),
+    ]
 
 
 def _warnings(results: Path, state: dict[str, Any]) -> dict[str, list[str]]:

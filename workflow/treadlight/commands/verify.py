@@ -13,13 +13,19 @@ import json
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
-from treadlight.commands import common
+from treadlight.commands.provenance import (
+    SUFFIX,
+    changed_input,
+    digest_of,
+    is_hidden,
+    provenance_files,
+    read_provenance,
+    with_followers,
+)
 
 # Beside the products, and never read by a stage.
 _BESIDE = ("logs", "benchmarks")
-_SUFFIX = ".provenance.json"
 _DIGITS = 12
 
 
@@ -127,23 +133,20 @@ def _stores(results: Path) -> dict[str, str]:
 def _provenance(results: Path) -> dict[str, str]:
     """Products that are not what their provenance tells of, and provenance that is damaged."""
     found: dict[str, str] = {}
-    for path in _provenance_files(results):
-        product = path.with_name(path.name.removesuffix(_SUFFIX))
+    for path in provenance_files(results):
+        product = path.with_name(path.name.removesuffix(SUFFIX))
         name = product.relative_to(results).as_posix()
-        content = _read_provenance(path)
+        content = read_provenance(path)
         if content is None:
             found[name] = f"has a damaged {path.name}."
         elif not content["product"].endswith(f"{product.parent.name}/{product.name}"):
             found[name] = f"has the provenance of {content['product']}."
-        elif _digest(product) != content["product_digest"]:
+        elif digest_of(product) != content["product_digest"]:
             found[name] = "is not what its provenance tells of."
-        else:
-            for told, digest in content["inputs"].items():
-                source = _find(results, told)
-                if source is None or _digest(source) != digest:
-                    found.setdefault(name, f"was made from another state of {told}.")
+        elif told := changed_input(results, content):
+            found[name] = f"was made from another state of {told}."
     for folder in _store_folders(results):
-        if not folder.with_name(folder.name + _SUFFIX).is_file():
+        if not folder.with_name(folder.name + SUFFIX).is_file():
             name = folder.relative_to(results).as_posix()
             found.setdefault(name, "has no provenance.")
     for path in sorted(results.rglob("*")):
@@ -155,11 +158,11 @@ def _provenance(results: Path) -> dict[str, str]:
 def describe_provenance(results: Path) -> list[str]:
     """One line per product: the command, code, config and inputs that made it."""
     lines = []
-    for path in _provenance_files(results):
-        content = _read_provenance(path)
+    for path in provenance_files(results):
+        content = read_provenance(path)
         if content is None:
             continue
-        name = path.relative_to(results).as_posix().removesuffix(_SUFFIX)
+        name = path.relative_to(results).as_posix().removesuffix(SUFFIX)
         inputs = ", ".join(f"{k} {str(v)[:_DIGITS]}" for k, v in content["inputs"].items())
         lines.append(
             f"{name}: by {content['command']} of treadlight {content['treadlight']}, code"
@@ -167,33 +170,6 @@ def describe_provenance(results: Path) -> list[str]:
             f" {json.dumps(content['config'], sort_keys=True)}, from {inputs or 'the capture'}"
         )
     return lines
-
-
-def with_followers(results: Path, products: set[str]) -> set[str]:
-    """Products (below the results) with all that was made from them, to the archive's page.
-
-    Snakemake makes what is missing only where something that needs it is missing too.
-    """
-    made_from = {}
-    for path in _provenance_files(results):
-        content = _read_provenance(path)
-        name = path.relative_to(results).as_posix().removesuffix(_SUFFIX)
-        made_from[name] = set(content["inputs"]) if content else set()
-    found = products | {"index.html", "products.json"}
-    while True:
-        more = {
-            name
-            for name, inputs in made_from.items()
-            if name not in found and any(_names(told, one) for told in inputs for one in found)
-        }
-        if not more:
-            return found
-        found |= more
-
-
-def _names(told: str, product: str) -> bool:
-    """Whether provenance, which keeps the last parts of a path, means this product."""
-    return f"/{product}".endswith(f"/{told}") or f"/{told}".endswith(f"/{product}")
 
 
 def remove_product(path: Path) -> None:
@@ -205,41 +181,6 @@ def remove_product(path: Path) -> None:
     else:
         path.unlink(missing_ok=True)
     store.provenance_of(path).unlink(missing_ok=True)
-
-
-def _read_provenance(path: Path) -> dict[str, Any] | None:
-    from treadlight import store
-    from treadlight.errors import StoreError
-
-    try:
-        content = store.read_json(path)
-        whole = content.pop("digest") == common.provenance_digest(content)
-        return content if whole else None
-    except (StoreError, LookupError):
-        return None
-
-
-def _digest(path: Path) -> str | None:
-    from treadlight.errors import StoreError
-
-    try:
-        return common.product_digest(path)
-    except (OSError, StoreError, LookupError, TypeError):
-        return None
-
-
-def _find(results: Path, told: str) -> Path | None:
-    """The product that provenance names by the last parts of its path."""
-    parts = told.split("/")
-    for first in range(len(parts)):
-        inside = "/".join(parts[first:])
-        if (results / inside).exists():
-            return results / inside
-        # A round's products lie one folder deeper than three parts tell.
-        deeper = sorted(results.glob(f"*/*/{inside}")) + sorted(results.glob(f"*/{inside}"))
-        if len(parts) - first == 3 and len(deeper) == 1:
-            return deeper[0]
-    return None
 
 
 def _product_of(name: str) -> str:
@@ -257,11 +198,7 @@ def _store_folders(results: Path) -> list[Path]:
     stores = [path for path in results.rglob("*.zarr") if path.name != "photometric.zarr"]
     views = results.rglob("photometric.zarr/fov*")
     found = [*stores, *(view for view in views if view.is_dir())]
-    return sorted(path for path in found if not _is_hidden(results, path))
-
-
-def _provenance_files(results: Path) -> list[Path]:
-    return sorted(p for p in results.rglob(f"*{_SUFFIX}") if not _is_hidden(results, p))
+    return sorted(path for path in found if not is_hidden(results, path))
 
 
 def _is_single_product(results: Path, path: Path) -> bool:
@@ -270,26 +207,22 @@ def _is_single_product(results: Path, path: Path) -> bool:
     return (
         len(parts) > 2
         and path.suffix in (".json", ".csv", ".html")
-        and not path.name.endswith(_SUFFIX)
+        and not path.name.endswith(SUFFIX)
         and not any(part.endswith(".zarr") for part in parts)
         and parts[0] not in _BESIDE
-        and not _is_hidden(results, path)
+        and not is_hidden(results, path)
     )
 
 
 def _has_provenance(path: Path) -> bool:
-    return path.with_name(path.name + _SUFFIX).is_file()
-
-
-def _is_hidden(results: Path, path: Path) -> bool:
-    return any(part.startswith(".") for part in path.relative_to(results).parts)
+    return path.with_name(path.name + SUFFIX).is_file()
 
 
 def _visible_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return []
     files = (file for file in sorted(path.rglob("*")) if file.is_file())
-    return [file for file in files if not _is_hidden(path, file)]
+    return [file for file in files if not is_hidden(path, file)]
 
 
 def _sha256(path: Path) -> str:
