@@ -1,18 +1,59 @@
-"""Where two sections disagree and no view looks: cells that nothing says anything of."""
+"""Where no view looks: cuts known from their like, and cells that nothing says anything of."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
+from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.patches import find_patches
+from treadlight.integrate.repeats import repeated
 
 # Neighbours that differ by more standard deviations stand on either side of a lip.
 _APART_SIGMA = 4.0
 # A lip is evenly likely anywhere between two sections: in the middle third of the way neither of
 # them is twice as likely to be right.
 _EVEN = (1 / 3, 2 / 3)
+# As likely as this a cut is sure, and the tread where it is as unlikely.
+_SURELY = 0.95
+# Of the sections' distance: the blur of an edge whose place the repeats do not agree about.
+_NARROW = 1 / 6
 # Fewer neighbouring columns are stray points.
 _LEAST_COLUMNS = 3
+
+
+def hidden_cuts(
+    cuts: np.ndarray,
+    looked: np.ndarray,
+    laser: LaserCells,
+    deep: np.ndarray,
+    ribs: Sequence[slice],
+    std: float,
+    spacing: float,
+    shared_rows: float,
+    grid: CylinderGrid,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cells (n, m) in cuts that no view looks at, and cells of which nobody knows.
+
+    A cut is surely one somewhere, and as likely as not at its edges. Doubt that is narrow along
+    theta is about the place of an edge, which is somewhere in it; other doubt is doubt.
+
+    Parameters
+    ----------
+    cuts, looked, laser, deep, ribs, spacing, shared_rows, grid
+        See `repeated`.
+    std : float
+        Usual standard deviation of the first surface, mm.
+    """
+    likely = repeated(cuts, looked, laser, deep, ribs, spacing, shared_rows, grid)
+    hidden = find_patches(likely > 0.5, grid)
+    hidden = hidden.select(hidden.share(likely > _SURELY) > 0)
+    doubt = (likely > 1 - _SURELY) & (likely < _SURELY)
+    doubt = ndimage.binary_opening(doubt, np.ones((1 + round(spacing * _NARROW), 1)))
+    alone = np.isnan(likely) & ~looked
+    return hidden.mask & ~doubt, doubt | (alone & undecided(laser, std, grid))
 
 
 def undecided(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
@@ -42,3 +83,21 @@ def undecided(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
             first, last = np.ceil(row[k] + _EVEN[0] * gap), np.floor(row[k] + _EVEN[1] * gap)
             mask[np.arange(first, last + 1, dtype=int) % n, j] = True
     return ndimage.binary_opening(mask, np.ones((1, _LEAST_COLUMNS)))
+
+
+def looked_at(fields: Sequence[ViewField], spacing: float, grid: CylinderGrid) -> np.ndarray:
+    """Cells (n, m) with a slope, and those in cuts and at walls between them.
+
+    Parameters
+    ----------
+    fields : sequence of ViewField
+    spacing : float
+        Distance of sections, cells along theta.
+    grid : CylinderGrid
+    """
+    sloped = np.zeros(grid.shape, bool)
+    for field in fields:
+        sloped[field.rows] |= np.isfinite(field.slope[0])
+    mode = ("wrap" if grid.periodic else "nearest", "nearest")
+    # What is no wider than two thirds of the sections' distance.
+    return ndimage.maximum_filter(sloped, 2 * round(spacing / 3) + 1, mode=mode)

@@ -13,7 +13,6 @@ from treadlight.integrate.bias import remove_bias, with_path_variance
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
-from treadlight.integrate.gaps import undecided
 from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.sight import bridged_surface, seen_on
@@ -258,6 +257,7 @@ def _prepare(
         laser,
         lambda r: _relative_depth(r, tread.find_regions(r, grid), grid),
         spacing,
+        sections.shared_rows,
         grid,
     )
     fields = [_outside(f, closed.reach) for f in fields]
@@ -267,8 +267,7 @@ def _prepare(
     first = FirstSurface(
         np.where(unsure, closed.r, surface.r), np.where(unsure, bridge_std, surface.r_std)
     )
-    guessed = undecided(laser, usual_std, grid) & ~_looked_at(fields, spacing, grid)
-    first = replace(first, r=np.where(guessed, np.nan, first.r))
+    first = replace(first, r=np.where(closed.unknown, np.nan, first.r))
     regions = tread.find_regions(closed.r, grid)
     outline = prior.outline(closed.r, regions, grid)
     drift = prior.drift_rate(laser.select(closed.on_tread), outline, regions, spacing, grid)
@@ -290,15 +289,6 @@ def _prepare(
         usual_std,
         _noise_std(merge_views(fields, grid), grid),
     )
-
-
-def _looked_at(fields: list[ViewField], spacing: float, grid: CylinderGrid) -> np.ndarray:
-    """Cells (n, m) with a slope, and those in cuts and at walls between them."""
-    sloped = np.zeros(grid.shape, bool)
-    for field in fields:
-        sloped[field.rows] |= np.isfinite(field.slope[0])
-    # What is no wider than two thirds of the sections' distance.
-    return ndimage.maximum_filter(sloped, 2 * round(spacing / 3) + 1, mode=_mode(grid))
 
 
 def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float]:

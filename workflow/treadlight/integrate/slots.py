@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.cues import Cues, dark_lines, read_cues
+from treadlight.integrate.gaps import hidden_cuts, looked_at
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.patches import Patches, find_patches, kinds_of, way_out
@@ -72,6 +73,8 @@ class ClosedTread:
         Slots that sections fell into, or into their like.
     on_tread, in_slot : (k,) bool
         Of the laser points. What is neither lies on an edge, or is a ghost.
+    unknown : (n, m) bool
+        Cells that neither a view nor a section says anything of.
     """
 
     r: np.ndarray
@@ -82,6 +85,7 @@ class ClosedTread:
     met: np.ndarray
     on_tread: np.ndarray
     in_slot: np.ndarray
+    unknown: np.ndarray
 
 
 def close_cuts(
@@ -91,6 +95,7 @@ def close_cuts(
     laser: LaserCells,
     depth: Callable[[np.ndarray], np.ndarray],
     spacing: float,
+    shared_rows: float,
     grid: CylinderGrid,
 ) -> ClosedTread:
     """Find the cuts and interpolate the first surface across them.
@@ -105,33 +110,98 @@ def close_cuts(
     laser : LaserCells
     depth : function of a surface (n, m)
         How deep it lies below the tread's outline: 0 on tops, 1 on groove floors.
-    spacing : float
-        Distance of sections, cells along theta.
+    spacing, shared_rows : float
+        Distance of sections, cells along theta; see `LaserSections`.
     grid : CylinderGrid
     """
     cues = read_cues(fields, spacing, grid)
     lost = _lost(laser, std, grid)
     lines = _cut_lines(cues.dark, laser, lost, grid)
-    broken = find_patches(_breaks(cues, grid) | (lines > 0), grid)
+    broken = _breaks(cues, grid) | (lines > 0)
+    over = _bridge(start, broken, std, laser, depth, grid)
+    nowhere = np.zeros(grid.shape, bool)
+    slots, met = _slots(cues, lines, nowhere, over.cut, laser, lost, grid)
+    looked = looked_at(fields, spacing, grid)
+    below = _tread_level(over.r, looked, grid)[laser.row, laser.column] - laser.value
+    hidden, unknown = hidden_cuts(
+        slots.mask & looked,
+        looked,
+        laser,
+        below > _OFF_SIGMA * np.hypot(std, laser.std),
+        _ribs(depth(start)),
+        std,
+        spacing,
+        shared_rows,
+        grid,
+    )
+    if hidden.any():
+        broken |= ndimage.maximum_filter(hidden, 3, mode=_mode(grid))
+        over = _bridge(start, broken, std, laser, depth, grid)
+        slots, met = _slots(cues, lines, hidden, over.cut, laser, lost, grid)
+    below = over.r[laser.row, laser.column] - laser.value
+    deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
+    return ClosedTread(
+        over.r,
+        over.bridged,
+        ndimage.maximum_filter(over.cut, 3, mode=_mode(grid)),
+        slots,
+        _opening(slots.mask, ~over.tread, lines, grid),
+        met,
+        over.on_tread,
+        deep & slots.mask[laser.row, laser.column],
+        unknown,
+    )
+
+
+@dataclass(frozen=True)
+class _Bridged:
+    """A surface (n, m) with cuts closed; the interpolated cells, cuts and tread; points (k,)."""
+
+    r: np.ndarray
+    bridged: np.ndarray
+    cut: np.ndarray
+    tread: np.ndarray
+    on_tread: np.ndarray
+
+
+def _bridge(
+    start: np.ndarray,
+    broken: np.ndarray,
+    std: float,
+    laser: LaserCells,
+    depth: Callable[[np.ndarray], np.ndarray],
+    grid: CylinderGrid,
+) -> _Bridged:
+    """The surface without what breaks its tread, (n, m) bool."""
+    patches = find_patches(broken, grid)
     count = len(laser.value)
     sections = _completed(laser, start, std, grid)
-    around = np.median(depth(start), axis=0) > _GROOVE_DEPTH
-    off = _off_tread(sections, broken, around, std, grid)
+    off = _off_tread(sections, patches, np.median(depth(start), axis=0), std, grid)
     # What the first surface says where no point is tells of slots, not where the tread is.
     kept = off | (np.arange(len(off)) < count)
     sections, off = sections.select(kept), off[kept]
-    closed, _ = _interpolated(start, broken.mask, off, sections, grid)
+    closed, _ = _interpolated(start, patches.mask, off, sections, grid)
     # Grooves that run around the tire are drawn well by the sections: they stay.
     tread = depth(closed) < _GROOVE_DEPTH
-    broken = find_patches(broken.mask & tread, grid)
-    closed, bridged = _interpolated(start, broken.mask, off, sections, grid)
-    slots, met = _slots(cues, lines, broken.mask & tread, laser, lost, grid)
-    below = closed[laser.row, laser.column] - laser.value
-    deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
-    in_slot = deep & slots.mask[laser.row, laser.column]
-    reach = ndimage.maximum_filter(broken.mask, 3, mode=_mode(grid))
-    opening = _opening(slots.mask, ~tread, lines, grid)
-    return ClosedTread(closed, bridged, reach, slots, opening, met, ~off[:count], in_slot)
+    cut = find_patches(patches.mask & tread, grid).mask
+    closed, bridged = _interpolated(start, cut, off, sections, grid)
+    return _Bridged(closed, bridged, cut, tread, ~off[:count])
+
+
+def _ribs(depth: np.ndarray) -> list[slice]:
+    """Columns between the grooves around the tire, from the depth (n, m) of all."""
+    runs = ndimage.find_objects(ndimage.label(np.median(depth, axis=0) < _GROOVE_DEPTH)[0])
+    return [columns for (columns,) in runs]
+
+
+def _tread_level(r: np.ndarray, looked: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """The closed surface, along theta interpolated over the rows where no view looks."""
+    level, rows = r.copy(), np.arange(len(r))
+    period = len(r) if grid.periodic else None
+    for j in np.flatnonzero(looked.any(axis=0) & ~looked.all(axis=0)):
+        known = np.flatnonzero(looked[:, j])
+        level[:, j] = np.interp(rows, known, r[known, j], period=period)
+    return level
 
 
 def _lost(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
@@ -181,6 +251,7 @@ def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.nda
 def _slots(
     cues: Cues,
     lines: np.ndarray,
+    hidden: np.ndarray,
     cut: np.ndarray,
     laser: LaserCells,
     lost: np.ndarray,
@@ -188,15 +259,16 @@ def _slots(
 ) -> tuple[Patches, np.ndarray]:
     """Cuts with their outlines as the camera sees them, and whether sections fell in, (count,).
 
-    Walls are tilted, what lies between them does not fit or is dark.
+    Walls are tilted, what lies between them does not fit or is dark. The `hidden` ones (n, m) are
+    known from their like.
     """
-    seen = (cues.poor > _MOSTLY) | (lines > 0)
+    seen = (cues.poor > _MOSTLY) | (lines > 0) | hidden
     outline = (seen | (cues.tilted > _WALL_TILTED)) & cut
     mode = _mode(grid)
     filled = ndimage.minimum_filter(ndimage.maximum_filter(outline, 3, mode=mode), 3, mode=mode)
     patches = find_patches(filled & cut, grid)
     share = _lost_share(patches, laser, lost)
-    met = (share > _MOSTLY) | (patches.share(lines > 0) > _SEEN_SHARE)
+    met = (share > _MOSTLY) | (patches.share((lines > 0) | hidden) > _SEEN_SHARE)
     kept = (patches.share(seen) > _SEEN_SHARE) & (met | np.isnan(share))
     return patches.select(kept), met[kept]
 
@@ -262,23 +334,24 @@ def _breaks(cues: Cues, grid: CylinderGrid) -> np.ndarray:
 
 
 def _off_tread(
-    laser: LaserCells, broken: Patches, around: np.ndarray, std: float, grid: CylinderGrid
+    laser: LaserCells, broken: Patches, depth: np.ndarray, std: float, grid: CylinderGrid
 ) -> np.ndarray:
     """Points (k,) in or at a cut that are far off the same column of the sections beside it.
 
     Where wide slots come in quick succession most sections meet one: those that pass by all cuts
-    say where the tread is. Not so in columns (m,) of grooves `around` the tire, where a wear bar
-    may be all that looks like tread.
+    say where the tread is. Not so in grooves around the tire, by the usual `depth` (m,) of their
+    columns: there a wear bar may be all that looks like tread, and no cut is beside their floors.
     """
     if not broken.count:
         return np.zeros(len(laser.value), bool)
     away = way_out(~broken.mask, grid)[laser.row, laser.column]
-    calm = (away > _BESIDE_CELLS) | around[laser.column]
+    depth = depth[laser.column]
+    calm = (away > _BESIDE_CELLS) | (depth > _GROOVE_DEPTH)
     deviation = np.abs(laser.value - _median_along(laser, calm, grid))
     usual = np.hypot(std, laser.std)
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
     beside = away <= _BESIDE_CELLS
-    unsure = (laser.std > _OFF_SIGMA * std) & ~around[laser.column]
+    unsure = (laser.std > _OFF_SIGMA * std) & (depth < 1 - _GROOVE_DEPTH)
     off = (deviation > _OFF_SIGMA * usual) & (away <= aside)
     return off | (beside & (unsure | (deviation > _BESIDE_SIGMA * usual)))
 
