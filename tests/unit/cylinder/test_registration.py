@@ -3,7 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from treadlight.cylinder import FLAGS, closure_mm, register_sections
+from treadlight.cylinder import FLAGS, closure_mm, on_tops, register_sections
+from treadlight.geometry import CylinderGrid
+from treadlight.tread import find_regions
 
 NOMINAL = 300.0
 GHOST, OUTLIER, NONE = (1 << FLAGS.index(name) for name in ("ghost", "outlier", "none"))
@@ -102,17 +104,50 @@ def test_r_std_is_the_radial_part_of_the_deviation_plus_the_slope_term(rig, enco
 def test_no_sections_register_to_none(rig):
     empty = register(rig, np.empty((0, 80, 4, 3)), np.empty((0, 80), int), np.empty(0))
     assert empty.r.shape == (0, 80)
-    assert np.isnan(closure_mm(empty))
+    assert np.isnan(closure_mm(empty, np.ones(empty.r.shape, bool)))
 
 
 def test_closure_is_the_miss_of_overlapping_sections(sections_of, grooved):
     encoder = np.radians(np.arange(0, 367, 2.0))
     found = sections_of(grooved, encoder)
-    assert closure_mm(found) == pytest.approx(0, abs=1e-3)
+    tops = found.r > np.nanmax(found.r) - 1.0
+    assert closure_mm(found, tops) == pytest.approx(0, abs=1e-3)
     last = encoder >= 2 * np.pi - 1e-9
     drifted = dataclasses.replace(found, r=found.r + np.where(last, 0.15, 0)[:, None])
-    assert closure_mm(drifted) == pytest.approx(0.15, abs=1e-3)
+    assert closure_mm(drifted, tops) == pytest.approx(0.15, abs=1e-3)
+    # What lies lower is of no account.
+    sunk = dataclasses.replace(found, r=found.r - np.where(tops, 0, 0.3) * last[:, None])
+    assert closure_mm(sunk, tops) == pytest.approx(0, abs=1e-3)
+
+
+def test_sure_points_count_for_more_in_the_closure_and_stray_ones_for_nothing(
+    sections_of, grooved, rng
+):
+    encoder = np.radians(np.arange(0, 367, 2.0))
+    found = sections_of(grooved, encoder)
+    last = (encoder >= 2 * np.pi - 1e-9)[:, None]
+    std = np.where(np.arange(found.r.shape[1]) % 2, 0.02, 0.5) * np.ones(found.r.shape)
+    r = found.r + last * np.where(std > 0.1, 0.3, 0.0)
+    r[-1, ::9] += 5.0
+    noisy = dataclasses.replace(found, r=r, r_std=std)
+    assert closure_mm(noisy, np.ones(r.shape, bool)) < 0.01
 
 
 def test_closure_is_unknown_without_overlap(sections_of, grooved):
-    assert np.isnan(closure_mm(sections_of(grooved, np.radians(np.arange(0, 360, 2.0)))))
+    found = sections_of(grooved, np.radians(np.arange(0, 360, 2.0)))
+    assert np.isnan(closure_mm(found, np.ones(found.r.shape, bool)))
+
+
+def test_tops_are_the_ribs_without_grooves_and_slots(sections_of, grooved):
+    found = sections_of(grooved, np.radians(np.arange(0, 360, 2.0)))
+    found.r[7, 20:30] -= 5.0
+    found.r[9, 40] = np.nan
+    grid = CylinderGrid(np.radians(np.arange(-180, 180, 1.0)), np.arange(-45, 45, 0.5), NOMINAL)
+    regions = find_regions(grooved(*np.meshgrid(grid.theta, grid.z, indexing="ij")), grid)
+    tops = on_tops(found, regions)
+    inside = np.abs(found.z[0]) < 35
+    expected = (np.abs(found.z - 12) > 5) & np.isfinite(found.r)
+    expected[7, 20:30] = False
+    wrong = (tops != expected)[:, inside]
+    # A column at the groove's edge is either.
+    assert wrong.any(axis=0).sum() <= 2

@@ -77,6 +77,7 @@ def register(
 
     from treadlight import cylinder
     from treadlight.errors import CalibrationError
+    from treadlight.tread import find_regions
 
     if rig.axis is None:
         raise CalibrationError(
@@ -106,7 +107,9 @@ def register(
     line_mm = points.attrs.get("line_sigma_px", _LINE_SIGMA_PX) * pixel
     surface = cylinder.lay_surface(sections, views, grid, line_mm)
     shared = cylinder.shared_rows(sections, line_mm)
-    laser = _laser_dataset(points, sections, shared)
+    tops = cylinder.on_tops(sections, find_regions(surface.r, grid))
+    told = {"closure_mm": cylinder.closure_mm(sections, tops), "shared_rows": shared}
+    laser = _laser_dataset(points, sections).assign_attrs(told)
     if warnings:
         laser = laser.assign_attrs(warnings=warnings)
     return laser, _surface_dataset(surface, grid, capture)
@@ -142,11 +145,11 @@ def _radius_warnings(points: "xr.Dataset", axis: "Axis", capture: "Capture") -> 
     return [said] if abs(measured - nominal) > _ODD_RADIUS * nominal else []
 
 
-def _laser_dataset(points: "xr.Dataset", sections: "Sections", shared: float) -> "xr.Dataset":
+def _laser_dataset(points: "xr.Dataset", sections: "Sections") -> "xr.Dataset":
     import numpy as np
     import xarray as xr
 
-    from treadlight.cylinder import FLAGS, closure_mm
+    from treadlight.cylinder import FLAGS
     from treadlight.store import flag_attrs, variable
 
     dims = ("section", "line")
@@ -174,7 +177,7 @@ def _laser_dataset(points: "xr.Dataset", sections: "Sections", shared: float) ->
             dims, sections.quality, "1", "what is known of the point", **flag_attrs(FLAGS)
         ),
     }
-    return xr.Dataset(variables, attrs={"closure_mm": closure_mm(sections), "shared_rows": shared})
+    return xr.Dataset(variables)
 
 
 def _surface_dataset(surface: "Surface", grid: "CylinderGrid", capture: "Capture") -> "xr.Dataset":

@@ -1,7 +1,13 @@
 """Laser sections in the tire frame, the profile's grid, and the first surface r(theta, z)."""
 
 from treadlight.cylinder.extent import Extent, choose_grid, pixel_size_mm, view_extent
-from treadlight.cylinder.registration import FLAGS, Sections, closure_mm, register_sections
+from treadlight.cylinder.registration import (
+    FLAGS,
+    Sections,
+    closure_mm,
+    on_tops,
+    register_sections,
+)
 from treadlight.cylinder.settings import CylinderSettings
 from treadlight.cylinder.smoothing import shared_rows
 from treadlight.cylinder.surface import (
@@ -24,6 +30,7 @@ __all__ = [
     "first_surface",
     "lay_surface",
     "nominal_surface",
+    "on_tops",
     "pixel_size_mm",
     "register_sections",
     "shared_rows",

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from treadlight.geometry import Axis
+from treadlight.tread import TOP, Regions
 
 FLAGS = ("none", "multiple", "saturated", "weak", "ghost", "outlier")
 NONE, MULTIPLE, SATURATED, WEAK, GHOST, OUTLIER = (1 << k for k in range(len(FLAGS)))
@@ -19,6 +20,10 @@ _DOUBT_SHARE = 0.5
 _SURE_SHARE = 0.9
 # A radius further than this share from the nominal one is no tread.
 _RADIUS_SHARE = 0.2
+# Tukey's biweight at 95 % efficiency; a millimetre's thousandth is no deviation to divide by.
+_TUKEY = 4.685
+_ROUNDS = 20
+_LEAST_STD_MM = 1e-3
 # Where a point sits within its pixel is unknown by the deviation of a uniform distribution.
 _PIXEL_STD = 0.29
 
@@ -189,13 +194,36 @@ def _radial_std(r: np.ndarray, z: np.ndarray, radial: np.ndarray, axial: np.ndar
     return np.hypot(radial - slope * axial, _PIXEL_STD * step)
 
 
-def closure_mm(sections: Sections) -> float:
+def on_tops(sections: Sections, regions: Regions) -> np.ndarray:
+    """Points (n, lines) on the tops of ribs."""
+    known = np.isfinite(sections.r)
+    theta = np.angle(_mean(np.exp(1j * sections.theta), known, axis=1))
+    z = _mean(sections.z, known, axis=0)
+    return regions.on_columns(z).classify(sections.r, theta) == TOP
+
+
+def _mean(values: np.ndarray, known: np.ndarray, axis: int) -> np.ndarray:
+    """Mean of what is known along an axis; 0 where nothing is."""
+    total = np.where(known, values, 0).sum(axis=axis)
+    return np.asarray(total / np.maximum(known.sum(axis=axis), 1))
+
+
+def closure_mm(sections: Sections, tops: np.ndarray) -> float:
     """How far the last sections of a whole turn miss the first where they overlap, mm.
 
-    Root mean square, over the sections that lie a whole turn after others, of the median
-    difference to the radius interpolated between those, at equal line; NaN without overlap.
+    Root mean square, over the sections that lie a whole turn after others, of the robust weighted
+    mean (Tukey's biweight) of the differences to the radius interpolated between those, at equal
+    line; NaN without overlap.
+
+    Parameters
+    ----------
+    sections : Sections
+    tops : (n, lines) bool
+        Points on the tops of ribs: the walls of slots and grooves, a little beside where they
+        were a turn ago, tell nothing.
     """
     encoder = sections.encoder
+    r, variance = np.where(tops, sections.r, np.nan), sections.r_std**2
     misses = []
     for k in range(len(encoder)):
         before = encoder[k] - 2 * np.pi
@@ -205,8 +233,21 @@ def closure_mm(sections: Sections) -> float:
         low = max(after - 1, 0)
         gap = encoder[after] - encoder[low]
         share = (before - encoder[low]) / gap if gap > 0 else 0.0
-        first = (1 - share) * sections.r[low] + share * sections.r[after]
-        miss = sections.r[k] - first
-        if np.isfinite(miss).any():
-            misses.append(float(np.nanmedian(miss)))
+        miss = r[k] - (1 - share) * r[low] - share * r[after]
+        spread = variance[k] + (1 - share) ** 2 * variance[low] + share**2 * variance[after]
+        known = np.isfinite(miss)
+        if known.any():
+            misses.append(_robust_mean(miss[known], np.sqrt(spread[known])))
     return float(np.sqrt(np.mean(np.square(misses)))) if misses else float("nan")
+
+
+def _robust_mean(values: np.ndarray, std: np.ndarray) -> float:
+    """Mean (k,) by Tukey's biweight about the median, both weighted by inverse variances."""
+    sure = 1 / np.maximum(std, _LEAST_STD_MM) ** 2
+    order = np.argsort(values)
+    total = np.cumsum(sure[order])
+    mean = float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+    for _ in range(_ROUNDS):
+        weight = sure * np.maximum(1 - (values - mean) ** 2 * sure / _TUKEY**2, 0) ** 2
+        mean = float(np.average(values, weights=weight))
+    return mean
