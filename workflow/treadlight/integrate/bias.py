@@ -353,3 +353,56 @@ def _robust_fit(
         else:
             weight = np.maximum(1 - (miss / (_TUKEY * spread)) ** 2, 0) ** 2
     return coefficients, spread
+
+
+def lean_of_ribs(
+    field: ViewField,
+    laser: LaserCells,
+    r: np.ndarray,
+    rib_of_column: np.ndarray,
+    shared_rows: float,
+    grid: CylinderGrid,
+) -> np.ndarray:
+    """Slope along z, (m,), by which each rib of a view still leans against its sections.
+
+    Errors of slopes are skewed, so that their mean over paths is not what a robust solve makes of
+    them. What is left is taken from the heights themselves: the line along z through the laser's
+    differences to them on each rib, shrunk by its own uncertainty (James and Stein 1961).
+
+    Parameters
+    ----------
+    field : ViewField
+    laser : LaserCells
+    r : (n, m) float
+        Solved heights, mm.
+    rib_of_column : (m,) int
+        0 in grooves.
+    shared_rows : float
+        How many neighbouring points share their errors.
+    grid : CylinderGrid
+    """
+    n = grid.shape[0]
+    local = (laser.row - field.rows[0]) % n if grid.periodic else laser.row - field.rows[0]
+    miss = laser.value - r[laser.row, laser.column]
+    own = (local >= 0) & (local < len(field.rows)) & np.isfinite(miss)
+    lean = np.zeros(grid.shape[1])
+    for rib in range(1, rib_of_column.max(initial=0) + 1):
+        here = own & (rib_of_column[laser.column] == rib)
+        if np.count_nonzero(here) >= _LEAST_PAIRS:
+            slope, variance = _robust_line(grid.z[laser.column[here]], miss[here], laser.std[here])
+            shrunk = max(0.0, 1 - shared_rows * variance / slope**2)
+            lean[rib_of_column == rib] = shrunk * slope
+    return lean
+
+
+def _robust_line(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> tuple[float, float]:
+    """Slope of a line through y(x), (k,), by Tukey's biweight, and its variance."""
+    sure = 1 / std**2
+    weight = sure
+    for _ in range(_ROUNDS):
+        centre = np.average(x, weights=weight), np.average(y, weights=weight)
+        dx, dy = x - centre[0], y - centre[1]
+        slope = float((weight * dx * dy).sum() / (weight * dx**2).sum())
+        off = (dy - slope * dx) ** 2 * sure / _TUKEY**2
+        weight = sure * np.maximum(1 - off, 0) ** 2
+    return slope, float(1 / (weight * dx**2).sum())

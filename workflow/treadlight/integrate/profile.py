@@ -9,7 +9,7 @@ from scipy import ndimage
 from treadlight import tread
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import prior
-from treadlight.integrate.bias import remove_bias, with_path_variance
+from treadlight.integrate.bias import lean_of_ribs, remove_bias, with_path_variance
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
@@ -121,7 +121,8 @@ def integrate_capture(
         Every n-th section stays out of the first solve; 0 = none, and one solve.
     """
     case = _prepare(views, sections, surface, grid)
-    proof, factor = _prove(case, held_out(len(sections.r), held_out_every))
+    proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every))
+    case = case.upright(first_r)
     photometry, problem, solution = case.solve(case.laser.select(case.closed.on_tread))
     closed, laser = case.closed, case.laser
     std = factor * sampled_std(problem, solution, grid)
@@ -201,6 +202,8 @@ class _Case:
     shared_rows: float
     usual_std: float
     noise: float
+    rib_of_column: np.ndarray
+    leans: list[np.ndarray]
 
     def solve(self, laser: LaserCells) -> tuple[Photometry, Problem, Solution]:
         """Heights from these laser points and the views, whose smooth bias they tell."""
@@ -208,9 +211,19 @@ class _Case:
         fields = [remove_bias(f, laser, self.depth, *about) for f in self.fields]
         fields = confirm(fields, laser, self.outline, *about)
         fields = [with_path_variance(f, laser, *about) for f in fields]
+        fields = [_leaning(f, lean) for f, lean in zip(fields, self.leans, strict=True)]
         photometry = merge_views(fields, self.grid)
         problem = self.problem(photometry, laser)
         return photometry, problem, integrate(problem, self.closed.r, self.usual_std, self.noise)
+
+    def upright(self, r: np.ndarray) -> "_Case":
+        """The case with ribs set upright that heights (n, m) show to lean."""
+        told = self.laser.select(self.closed.on_tread)
+        leans = [
+            lean_of_ribs(f, told, r, self.rib_of_column, self.shared_rows, self.grid)
+            for f in self.fields
+        ]
+        return replace(self, leans=[a + b for a, b in zip(self.leans, leans, strict=True)])
 
     def problem(self, photometry: Photometry, laser: LaserCells) -> Problem:
         start = self.closed.r
@@ -288,10 +301,19 @@ def _prepare(
         sections.shared_rows,
         usual_std,
         _noise_std(merge_views(fields, grid), grid),
+        regions.rib_of_column,
+        [np.zeros(grid.shape[1])] * len(fields),
     )
 
 
-def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float]:
+def _leaning(field: ViewField, lean: np.ndarray) -> ViewField:
+    """The field with this much (m,) more slope along z."""
+    slope = field.slope.copy()
+    slope[1] += lean.astype(slope.dtype)
+    return replace(field, slope=slope)
+
+
+def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
     """Solve without the sections of a mask (s,): what they say, and the factor they ask for."""
     tread_points = case.laser.select(case.closed.on_tread)
     out = out[tread_points.section]
@@ -302,14 +324,15 @@ def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float]:
         lit[field.rows] |= np.isfinite(field.slope[0])
     held = tread_points.select(out & lit[tread_points.row, tread_points.column])
     if not len(held.value):
-        return compare_held_out(case.closed.r, held), 1.0
+        _, _, solution = case.solve(tread_points)
+        return compare_held_out(case.closed.r, held), 1.0, solution.r
     _, problem, solution = case.solve(tread_points.select(~out))
     # At a wall a laser point and a cell are not the same place.
     clear = _clear(_steps(solution, case.grid) | case.walls, case.grid)
     held = held.select(clear[held.row, held.column])
     std = sampled_std(problem, solution, case.grid)
     factor = max(1.0, coverage_factor(solution.r, std, held))
-    return compare_held_out(solution.r, held), factor
+    return compare_held_out(solution.r, held), factor, solution.r
 
 
 def _outside(field: ViewField, mask: np.ndarray) -> ViewField:
