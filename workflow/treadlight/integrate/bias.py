@@ -5,6 +5,8 @@ alike: over the gap between two sections a degree adds up to a fifth of a millim
 averages out. The sections say how large it is.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +31,8 @@ _WALL_SLOPE = 0.35
 _UNSURE = 9.0
 _MARGIN_CELLS = 1
 _LEAST_GOOD = 0.5
+# Neighbours further apart than this many times what the laser's share have nothing in common.
+_REACH_SHARED = 4.0
 _Z_LAGS = (0.5, 1 / 6)
 
 
@@ -161,6 +165,45 @@ def with_path_variance(
                 _path_variance(pairs.excess, pairs.noise, pairs.length, sides[pairs.axis])
             )
     return replace(field, variance=variance)
+
+
+def shared_columns(
+    fields: Sequence[ViewField],
+    laser: LaserCells,
+    steps: np.ndarray,
+    shared_rows: float,
+    spacing: float,
+    grid: CylinderGrid,
+) -> float:
+    """How many neighbouring paths of slopes share their errors, at least 1.
+
+    Noise that the model of the light leaves, texture and what a pixel smooths lie in patches:
+    the sum of the covariances of what neighbouring paths along theta miss of the laser's rise,
+    less what the laser's own errors share, over the paths' own variance.
+
+    Parameters
+    ----------
+    fields, laser, steps, spacing, grid
+        See `laser_pairs`.
+    shared_rows : float
+        How many neighbouring points of a section share their errors.
+    """
+    reach = math.ceil(_REACH_SHARED * shared_rows)
+    together, alone = 0.0, 0.0
+    for field in fields:
+        pairs = laser_pairs(field, laser, steps, spacing, grid)[0]
+        if len(pairs.excess) < _LEAST_PAIRS:
+            continue
+        usual = np.abs(pairs.excess) < _TUKEY * np.sqrt(np.median(pairs.excess**2) / CHI2_MEDIAN)
+        rows, row = np.unique(laser.section[pairs.start], return_inverse=True)
+        miss = np.full((len(rows), grid.shape[1] + reach), np.nan)
+        miss[row[usual], pairs.middle[1][usual]] = pairs.excess[usual]
+        noise = float(np.median(pairs.noise))
+        lags = [np.nanmean(miss[:, : grid.shape[1]] ** 2)]
+        lags += [2 * np.nanmean(miss[:, :-d] * miss[:, d:]) for d in range(1, reach + 1)]
+        together += len(pairs.excess) * (np.sum(lags) - noise * shared_rows)
+        alone += len(pairs.excess) * (lags[0] - noise)
+    return float(max(1.0, together / alone)) if alone > 0 else 1.0
 
 
 def _best_fit(

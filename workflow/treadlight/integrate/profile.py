@@ -9,7 +9,12 @@ from scipy import ndimage
 from treadlight import tread
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import prior
-from treadlight.integrate.bias import lean_of_ribs, remove_bias, with_path_variance
+from treadlight.integrate.bias import (
+    lean_of_ribs,
+    remove_bias,
+    shared_columns,
+    with_path_variance,
+)
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
@@ -123,9 +128,14 @@ def integrate_capture(
     case = _prepare(views, sections, surface, grid)
     proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every))
     case = case.upright(first_r)
-    photometry, problem, solution = case.solve(case.laser.select(case.closed.on_tread))
-    closed, laser = case.closed, case.laser
-    std = factor * sampled_std(problem, solution, grid)
+    solved = case.solve(case.laser.select(case.closed.on_tread))
+    photometry, solution, closed, laser = (
+        solved.photometry,
+        solved.solution,
+        case.closed,
+        case.laser,
+    )
+    std = factor * solved.std(grid)
     depth, depth_std = slot_depths(
         closed.slots,
         closed.met,
@@ -141,7 +151,7 @@ def integrate_capture(
     top = np.where(known, solution.r, np.nan)
     r = np.where(inside, top - closed.opening * depth, top)
     steps = _steps(solution, grid)
-    slope = _solved_slopes(top, solution, problem.edges, grid)
+    slope = _solved_slopes(top, solution, solved.problem.edges, grid)
     seen = _near(steps | inside, grid) & _seen(closed, grid)
     whole = np.where(seen, _blurred_slopes(r, grid), slope)
     return Profile(
@@ -205,7 +215,7 @@ class _Case:
     rib_of_column: np.ndarray
     leans: list[np.ndarray]
 
-    def solve(self, laser: LaserCells) -> tuple[Photometry, Problem, Solution]:
+    def solve(self, laser: LaserCells) -> "_Solved":
         """Heights from these laser points and the views, whose smooth bias they tell."""
         about = (self.walls, self.spacing, self.grid)
         fields = [remove_bias(f, laser, self.depth, *about) for f in self.fields]
@@ -214,7 +224,12 @@ class _Case:
         fields = [_leaning(f, lean) for f, lean in zip(fields, self.leans, strict=True)]
         photometry = merge_views(fields, self.grid)
         problem = self.problem(photometry, laser)
-        return photometry, problem, integrate(problem, self.closed.r, self.usual_std, self.noise)
+        return _Solved(
+            photometry,
+            problem,
+            integrate(problem, self.closed.r, self.usual_std, self.noise),
+            shared_columns(fields, laser, self.walls, self.shared_rows, self.spacing, self.grid),
+        )
 
     def upright(self, r: np.ndarray) -> "_Case":
         """The case with ribs set upright that heights (n, m) show to lean."""
@@ -241,6 +256,20 @@ class _Case:
         level = 1 / max(high - low, 1.0) ** 2
         laser = replace(laser, std=laser.std * np.sqrt(self.shared_rows))
         return Problem(edges, laser, start, np.where(np.isfinite(self.first.r), level, 0))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A solve; `shared` as in `shared_columns`."""
+
+    photometry: Photometry
+    problem: Problem
+    solution: Solution
+    shared: float
+
+    def std(self, grid: CylinderGrid) -> np.ndarray:
+        """Standard deviation of the heights, (n, m) mm."""
+        return sampled_std(self.problem, self.solution, self.shared, grid)
 
 
 def _prepare(
@@ -324,14 +353,13 @@ def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
         lit[field.rows] |= np.isfinite(field.slope[0])
     held = tread_points.select(out & lit[tread_points.row, tread_points.column])
     if not len(held.value):
-        _, _, solution = case.solve(tread_points)
-        return compare_held_out(case.closed.r, held), 1.0, solution.r
-    _, problem, solution = case.solve(tread_points.select(~out))
+        return compare_held_out(case.closed.r, held), 1.0, case.solve(tread_points).solution.r
+    solved = case.solve(tread_points.select(~out))
+    solution = solved.solution
     # At a wall a laser point and a cell are not the same place.
     clear = _clear(_steps(solution, case.grid) | case.walls, case.grid)
     held = held.select(clear[held.row, held.column])
-    std = sampled_std(problem, solution, case.grid)
-    factor = max(1.0, coverage_factor(solution.r, std, held))
+    factor = max(1.0, coverage_factor(solution.r, solved.std(case.grid), held))
     return compare_held_out(solution.r, held), factor, solution.r
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
+from scipy import ndimage
 
 from treadlight.integrate.edges import Edges
 from treadlight.integrate.laser import LaserCells
@@ -170,11 +171,16 @@ def _add_edges(w_theta, w_z, step, r, residual):
 
 
 def perturbation(
-    problem: Problem, system: System, laser: np.ndarray, rng: np.random.Generator
+    problem: Problem,
+    system: System,
+    laser: np.ndarray,
+    shared: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """A random right-hand side under the noise of all constraints: (n, m), mm^-1.
 
-    Heights that answer to it have the covariance of the solution.
+    Heights that answer to it have the covariance of the solution. The jumps from cell to cell
+    share their noise with those beside them.
 
     Parameters
     ----------
@@ -182,10 +188,29 @@ def perturbation(
     system : System
     laser : (n, m) float
         Variance of the laser's part, mm^-2.
+    shared : float
+        How many neighbours across an edge's direction share their noise, at least 1.
     rng : numpy.random.Generator
     """
     noise = np.sqrt(problem.prior_weight + laser) * rng.standard_normal(laser.shape)
-    jumps = [np.sqrt(w) * rng.standard_normal(w.shape) for w in (system.w_theta, system.w_z)]
+    jumps = [
+        np.sqrt(w) * _shared_noise(w.shape, 1 - axis, shared, rng)
+        for axis, w in enumerate((system.w_theta, system.w_z))
+    ]
     noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
     noise += np.roll(jumps[1], 1, axis=1) - jumps[1]
     return noise
+
+
+def _shared_noise(
+    shape: tuple[int, int], axis: int, shared: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Unit normal noise whose correlations along an axis sum up to `shared`."""
+    noise = rng.standard_normal(shape)
+    # A Gaussian of width s correlates white noise by one of width sqrt(2) s: its sum is
+    # 2 sqrt(pi) s, and it leaves 1 / (2 sqrt(pi) s) of the variance.
+    width = shared / (2 * np.sqrt(np.pi))
+    if shared <= 1:
+        return noise
+    smooth = ndimage.gaussian_filter1d(noise, width, axis=axis, mode="wrap")
+    return smooth / smooth.std()

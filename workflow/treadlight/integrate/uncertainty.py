@@ -25,18 +25,28 @@ _LEAST_POINTS = 30
 _ONE_SIGMA = 0.6827
 
 
-def sampled_std(problem: Problem, solution: Solution, grid: CylinderGrid) -> np.ndarray:
+def sampled_std(
+    problem: Problem, solution: Solution, shared: float, grid: CylinderGrid
+) -> np.ndarray:
     """Standard deviation of the heights under the noise of all constraints, (n, m) mm.
 
     The diagonal of the inverse matrix, from heights that answer to random right-hand sides with
     the constraints' covariance (a fixed seed), averaged over a few cells to steady it.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+    shared : float
+        How many neighbouring edges share their noise; see `bias.shared_columns`.
+    grid : CylinderGrid
     """
     rng = np.random.default_rng(_SEED)
     system, pull = weighted_system(problem, solution.share, solution.laser_share)
     solver = Solver(system)
     total = np.zeros(grid.shape)
     for _ in range(_SAMPLES):
-        noise = perturbation(problem, system, pull, rng)
+        noise = perturbation(problem, system, pull, shared, rng)
         total += solver.solve(noise, _TOLERANCE_MM, _MAX_ITERATIONS)[0] ** 2
     mode = ("wrap" if grid.periodic else "nearest", "nearest")
     # Logarithms are averaged, so that a wall's uncertainty does not spread over what it flanks;
