@@ -194,7 +194,7 @@ def perturbation(
     """
     noise = np.sqrt(problem.prior_weight + laser) * rng.standard_normal(laser.shape)
     jumps = [
-        np.sqrt(w) * _shared_noise(w.shape, 1 - axis, shared, rng)
+        np.sqrt(w) * shared_noise(w.shape, 1 - axis, shared, rng)
         for axis, w in enumerate((system.w_theta, system.w_z))
     ]
     noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
@@ -202,7 +202,7 @@ def perturbation(
     return noise
 
 
-def _shared_noise(
+def shared_noise(
     shape: tuple[int, int], axis: int, shared: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Unit normal noise whose correlations along an axis sum up to `shared`."""

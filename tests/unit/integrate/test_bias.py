@@ -1,0 +1,109 @@
+"""Leaning ribs, and how far errors of slopes go together."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from treadlight.geometry import CylinderGrid
+from treadlight.integrate.bias import lean_of_ribs, shared_columns
+from treadlight.integrate.gather import ViewField
+from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.solve import shared_noise
+
+STEP = 0.3
+SPACING = 12
+LASER_STD = 0.05
+RADIUS = 300.0
+
+
+@pytest.fixture
+def grid():
+    return CylinderGrid(
+        np.arange(960) * STEP / RADIUS, STEP * np.arange(-30, 31, dtype=float), RADIUS
+    )
+
+
+def view(grid, slope):
+    shape = grid.shape
+    return ViewField(
+        np.arange(shape[0]), slope.astype(np.float32), np.full((2, *shape), 0.02**2, np.float32),
+        np.ones((3, *shape), np.float32), np.zeros((3, *shape), np.float32),
+        np.ones(shape[0], np.float32),
+    )  # fmt: skip
+
+
+def sections(grid, r, std=LASER_STD):
+    """Laser points of every twelfth row."""
+    row = np.repeat(np.arange(6, grid.shape[0], SPACING), grid.shape[1])
+    column = np.tile(np.arange(grid.shape[1]), grid.shape[0] // SPACING)
+    return LaserCells(row, column, r[row, column], np.full(len(row), std), row // SPACING)
+
+
+@pytest.fixture
+def ribs(grid):
+    """Two ribs and a groove between them, by column."""
+    return np.select([grid.z < -2, grid.z > 2], [1, 2], 0)
+
+
+def test_a_rib_leans_as_its_sections_say(grid, ribs, rng):
+    r = RADIUS + np.where(ribs == 1, 0.02 * grid.z, 0.0) + rng.normal(0, LASER_STD, grid.shape)
+    laser = sections(grid, r)
+    laser.value[::17] -= 3.0
+    flat = np.full(grid.shape, RADIUS)
+    lean = lean_of_ribs(view(grid, np.zeros((2, *grid.shape))), laser, flat, ribs, 1.0, grid)
+    assert lean[ribs == 1] == pytest.approx(0.02, rel=0.2)
+    assert (lean[ribs == 0] == 0).all()
+    # What noise can be is shrunk: a standard deviation of the slope is 0.6e-3 here.
+    assert np.abs(lean[ribs == 2]).max() < 0.0015
+
+
+def test_a_lean_that_noise_explains_is_none(grid, ribs, rng):
+    """Over many views the usual correction is less than a standard deviation of a line's slope."""
+    field, flat = view(grid, np.zeros((2, *grid.shape))), np.full(grid.shape, RADIUS)
+    found = []
+    for _ in range(40):
+        noisy = flat + rng.normal(0, LASER_STD, grid.shape)
+        found.append(lean_of_ribs(field, sections(grid, noisy), flat, ribs, 1.0, grid)[0])
+    z = np.tile(grid.z[ribs == 1], 80)
+    one = LASER_STD / np.sqrt(((z - z.mean()) ** 2).sum())
+    assert np.median(np.abs(found)) < 0.5 * one
+
+
+@pytest.mark.parametrize("shared", [1.0, 4.0])
+def test_neighbouring_paths_share_errors_as_far_as_these_reach(grid, shared, rng):
+    noise = np.zeros((2, *grid.shape))
+    noise[0] = 0.05 * shared_noise(grid.shape, 1, shared, rng)
+    fields = [view(grid, noise)]
+    laser = sections(grid, np.full(grid.shape, RADIUS), std=1e-4)
+    walls = np.zeros(grid.shape, bool)
+    found = shared_columns(fields, laser, walls, 3.0, SPACING, grid)
+    assert found == pytest.approx(shared, rel=0.3)
+
+
+def test_what_the_laser_shares_is_not_the_slopes(grid, rng):
+    """Slopes with independent errors, and a laser whose neighbouring points go together."""
+    slope = np.zeros((2, *grid.shape))
+    slope[0] = rng.normal(0, 0.1, grid.shape)
+    speckle = LASER_STD * shared_noise(grid.shape, 1, 4.0, rng)
+    laser = sections(grid, RADIUS + speckle)
+    walls = np.zeros(grid.shape, bool)
+    found = shared_columns([view(grid, slope)], laser, walls, 4.0, SPACING, grid)
+    assert found == pytest.approx(1.0, abs=0.5)
+
+
+def test_views_without_slopes_share_nothing(grid):
+    empty = view(grid, np.full((2, *grid.shape), np.nan))
+    laser = sections(grid, np.full(grid.shape, RADIUS))
+    walls = np.zeros(grid.shape, bool)
+    assert shared_columns([empty], laser, walls, 3.0, SPACING, grid) == 1.0
+
+
+@pytest.mark.parametrize("shared", [1.0, 3.0, 8.0])
+def test_shared_noise_has_unit_variance_and_the_sum_of_correlations_asked_for(shared, rng):
+    noise = shared_noise((400, 500), 1, shared, rng)
+    assert noise.std() == pytest.approx(1.0, rel=0.02)
+    # The variance of long means is that sum over their length.
+    means = ndimage.uniform_filter1d(noise, 50, axis=1)[:, 25:-25:50]
+    assert 50 * means.var() == pytest.approx(shared, rel=0.15)
+    along = ndimage.uniform_filter1d(noise, 50, axis=0)[25:-25:50]
+    assert 50 * along.var() == pytest.approx(1.0, rel=0.15)
