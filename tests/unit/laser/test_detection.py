@@ -181,3 +181,29 @@ def test_undersampled_line_is_not_drawn_to_the_pixels(stripes, rng):
     means = [np.mean(error[phase == k]) for k in range(8)]
     assert np.abs(means).max() < 0.05
     assert model.blur_px > 0
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.0, 1.5])
+def test_a_narrow_line_may_lie_anywhere_in_its_pixel(stripes, rng, sigma):
+    """The mean error stays under 0.02 px at every place in the pixel."""
+    frames, truth = [], []
+    for start in np.linspace(0, 1, 6, endpoint=False):
+        u = 40 + start + np.linspace(0, 5, ROWS)
+        truth.append(u)
+        frames.append(stripes(u, sigma=sigma, speckle=0.1, rng=rng))
+    model = learn_line_model(frames)
+    error = np.concatenate(
+        [detect_section(*f, model).u[:, 0] - u for f, u in zip(frames, truth, strict=True)]
+    )
+    phase = np.floor(8 * (np.concatenate(truth) % 1)).astype(int)
+    assert np.abs([np.mean(error[phase == k]) for k in range(8)]).max() < 0.02
+
+
+def test_a_filter_that_few_sections_taught_does_not_feel_the_pixels(stripes, rng):
+    """All rows of a round tire lie at nearly one place in their pixels, which is what is learnt."""
+    taught = [stripes(40.2 + np.linspace(0, 0.3, ROWS), sigma=0.8, speckle=0.1, rng=rng)]
+    model = learn_line_model(taught)
+    u = 40 + np.linspace(0, 5, ROWS)
+    error = detect_section(*stripes(u, sigma=0.8, speckle=0.1, rng=rng), model).u[:, 0] - u
+    phase = np.floor(8 * (u % 1)).astype(int)
+    assert np.abs([np.mean(error[phase == k]) for k in range(8)]).max() < 0.03

@@ -261,76 +261,109 @@ def _insert(found, row, u, apart):  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def filter_response(row, centre, weights, nodes, node_px):  # pragma: no cover - compiled
-    """Antisymmetric filter at a sub-pixel centre: positive where the light lies to the right."""
-    reach = (nodes + 1) * node_px
+def with_integral(weights, node_px):  # pragma: no cover - compiled
+    """Filters (m, n) at the nodes from the middle to one past the last, and their integrals.
+
+    (2, m, n + 2): what lies between is linear in the first, and its integral from the middle, px,
+    quadratic.
+    """
+    count, nodes = weights.shape
+    taps = np.zeros((2, count, nodes + 2))
+    for m in range(count):
+        for k in range(nodes + 1):
+            if k < nodes:
+                taps[0, m, k + 1] = weights[m, k]
+            mean = 0.5 * (taps[0, m, k] + taps[0, m, k + 1])
+            taps[1, m, k + 1] = taps[1, m, k] + node_px * mean
+    return taps
+
+
+@njit(cache=True, nogil=True)
+def _integral(x, weight, integral, node_px):  # pragma: no cover - compiled
+    """Of the filter from its middle to x >= 0, px."""
+    last = len(weight) - 1
+    at = min(x / node_px, float(last))
+    k = min(int(at), last - 1)
+    share = at - k
+    rise = weight[k] + 0.5 * share * (weight[k + 1] - weight[k])
+    return integral[k] + node_px * share * rise
+
+
+@njit(cache=True, nogil=True)
+def filter_response(row, centre, weight, integral, nodes, node_px):  # pragma: no cover - compiled
+    """Antisymmetric filter at a sub-pixel centre: positive where the light lies to the right.
+
+    A pixel counts by the filter's mean over it: one that only its middle is weighed by would
+    feel where in its pixel a narrow line is.
+    """
+    reach = (nodes + 1) * node_px + 0.5
     low = max(0, math.ceil(centre - reach))
     high = min(len(row) - 1, math.floor(centre + reach))
     total = 0.0
+    before = _integral(abs(low - 0.5 - centre), weight, integral, node_px)
     for u in range(low, high + 1):
-        at = abs(u - centre) / node_px
-        k = int(at)
-        left = weights[k - 1] if 1 <= k <= nodes else 0.0
-        right = weights[k] if k + 1 <= nodes else 0.0
-        weight = left + (at - k) * (right - left)
-        total += weight * row[u] if u > centre else -weight * row[u]
+        after = _integral(abs(u + 0.5 - centre), weight, integral, node_px)
+        total += (after - before) * row[u]
+        before = after
     return total
 
 
 @njit(cache=True, nogil=True)
-def _gain(centre, weights, nodes, node_px):  # pragma: no cover - compiled
+def _gain(centre, weight, integral, nodes, node_px):  # pragma: no cover - compiled
     """Root of the sum of the squared weights at a centre."""
-    reach = (nodes + 1) * node_px
+    reach = (nodes + 1) * node_px + 0.5
     total = 0.0
-    for u in range(math.ceil(centre - reach), math.floor(centre + reach) + 1):
-        at = abs(u - centre) / node_px
-        k = int(at)
-        left = weights[k - 1] if 1 <= k <= nodes else 0.0
-        right = weights[k] if k + 1 <= nodes else 0.0
-        total += (left + (at - k) * (right - left)) ** 2
+    low = math.ceil(centre - reach)
+    before = _integral(abs(low - 0.5 - centre), weight, integral, node_px)
+    for u in range(low, math.floor(centre + reach) + 1):
+        after = _integral(abs(u + 0.5 - centre), weight, integral, node_px)
+        total += (after - before) ** 2
+        before = after
     return math.sqrt(total)
 
 
 @njit(cache=True, nogil=True)
-def zero_crossing(row, start, weights, nodes, node_px, search):  # pragma: no cover - compiled
+def zero_crossing(
+    row, start, weight, integral, nodes, node_px, search
+):  # pragma: no cover - compiled
     """Where the filter's response falls through zero within `search` px of `start`.
 
     Returns the position and the slope of the response there (per px, negative), or NaN.
     """
     low, high = start - search, start + search
-    at_low = filter_response(row, low, weights, nodes, node_px)
-    at_high = filter_response(row, high, weights, nodes, node_px)
+    at_low = filter_response(row, low, weight, integral, nodes, node_px)
+    at_high = filter_response(row, high, weight, integral, nodes, node_px)
     if not (at_low > 0.0 and at_high < 0.0):
         return np.nan, np.nan
     # Bisection: the response is only piecewise smooth, and 16 halvings give 1e-5 of the range.
     for _ in range(16):
         middle = 0.5 * (low + high)
-        if filter_response(row, middle, weights, nodes, node_px) > 0.0:
+        if filter_response(row, middle, weight, integral, nodes, node_px) > 0.0:
             low = middle
         else:
             high = middle
     centre = 0.5 * (low + high)
     step = 0.5 * node_px
-    ahead = filter_response(row, centre + step, weights, nodes, node_px)
-    behind = filter_response(row, centre - step, weights, nodes, node_px)
+    ahead = filter_response(row, centre + step, weight, integral, nodes, node_px)
+    behind = filter_response(row, centre - step, weight, integral, nodes, node_px)
     return centre, (ahead - behind) / (2 * step)
 
 
 @njit(cache=True, nogil=True)
 def _crossing_with_std(
-    row, start, weights, std_px, nodes, node_px, search, noise
+    row, start, taps, std_px, nodes, node_px, search, noise
 ):  # pragma: no cover - compiled
-    taps = weights[nodes - 1]
-    centre, slope = zero_crossing(row, start, taps, nodes, node_px, search)
+    weight, integral = taps[0, nodes - 1], taps[1, nodes - 1]
+    centre, slope = zero_crossing(row, start, weight, integral, nodes, node_px, search)
     if np.isnan(centre) or not slope < 0.0:
         return np.nan, np.inf
-    additive = noise * _gain(centre, taps, nodes, node_px) / -slope
+    additive = noise * _gain(centre, weight, integral, nodes, node_px) / -slope
     return centre, math.sqrt(std_px[nodes - 1] ** 2 + additive**2)
 
 
 @njit(cache=True, nogil=True)
 def _best_crossing(
-    row, start, weights, std_px, nodes, node_px, search, noise
+    row, start, taps, std_px, nodes, node_px, search, noise
 ):  # pragma: no cover - compiled
     """The crossing of the filter with the least variance; of the core where the flanks mislead.
 
@@ -338,11 +371,11 @@ def _best_crossing(
     wide and core disagree by more than their noise allows, the core is right (a Hausman test).
     """
     core, core_std = _crossing_with_std(
-        row, start, weights, std_px, _CORE_NODES, node_px, search, noise
+        row, start, taps, std_px, _CORE_NODES, node_px, search, noise
     )
     best, best_std = core, core_std
     for m in range(_CORE_NODES + 1, nodes + 1):
-        centre, spread = _crossing_with_std(row, start, weights, std_px, m, node_px, search, noise)
+        centre, spread = _crossing_with_std(row, start, taps, std_px, m, node_px, search, noise)
         if spread < best_std:
             best, best_std = centre, spread
     if not np.isnan(core) and abs(best - core) > _DISAGREEMENT_SIGMA * core_std:
@@ -385,6 +418,7 @@ def refine_peaks(
     skew_out = np.full(shape, np.nan, np.float32)
     clipped_out = np.zeros(shape, np.bool_)
     all_nodes = len(std_px)
+    taps = with_integral(weights, node_px)
     for v in range(h):
         row = smooth[v]
         kept = 0
@@ -403,7 +437,7 @@ def refine_peaks(
                 search = min(search, 0.5 * half)
             nodes = min(all_nodes, max(_CORE_NODES, int(clear / node_px) - 1))
             centre, spread = _best_crossing(
-                row, float(at), weights, std_px, nodes, node_px, search, noise
+                row, float(at), taps, std_px, nodes, node_px, search, noise
             )
             if np.isnan(centre):
                 continue

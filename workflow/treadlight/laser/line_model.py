@@ -17,6 +17,7 @@ from treadlight.laser.detection import (
     estimate_noise,
     filter_response,
     smooth_frame,
+    with_integral,
 )
 
 # The filter reaches three sigmas: the light further out is haze and reflection.
@@ -317,12 +318,13 @@ def _node_responses(smooth, course, count, node_px):  # pragma: no cover - compi
     at = np.zeros((rows, count))
     ahead = np.zeros((rows, count))
     behind = np.zeros((rows, count))
+    hats = with_integral(np.eye(count), node_px)
+    step = 0.5 * node_px
     for i in range(rows):
+        row, centre = smooth[i], course[i]
         for k in range(count):
-            hat = np.zeros(count)
-            hat[k] = 1.0
-            step = 0.5 * node_px
-            at[i, k] = filter_response(smooth[i], course[i], hat, count, node_px)
-            ahead[i, k] = filter_response(smooth[i], course[i] + step, hat, count, node_px)
-            behind[i, k] = filter_response(smooth[i], course[i] - step, hat, count, node_px)
+            hat, integral = hats[0, k], hats[1, k]
+            at[i, k] = filter_response(row, centre, hat, integral, count, node_px)
+            ahead[i, k] = filter_response(row, centre + step, hat, integral, count, node_px)
+            behind[i, k] = filter_response(row, centre - step, hat, integral, count, node_px)
     return at, ahead, behind
