@@ -7,8 +7,8 @@ READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo slurm browser test test-faults test-repro test-slurm bench-laser bench-photometry \
-  bench-speed bench-plan bench-full lint format lock clean
+.PHONY: help setup demo slurm browser test test-faults test-repro test-slurm bench-integration bench-laser \
+  bench-photometry bench-speed bench-plan bench-full lint format lock clean
 
 help: ## Say what each target does
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -52,6 +52,11 @@ test-slurm: slurm ## A small archive through a Slurm queue on this machine, bit 
 bench-laser: setup ## The laser line's detector beside four others (figures in build/)
 	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
 	  $(BIN)/python tests/benchmarks/laser/study.py --shared ../shared --out build/bench-laser
+
+bench-integration: setup ## Poisson, the dissertation's and bilateral integration beside ours (figures in build/)
+	$(BIN)/snakemake --cores $(CORES) --quiet rules --config archive=../shared/captures/sample results=build/sample
+	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
+	  $(BIN)/python tests/benchmarks/integration/study.py build/sample ../shared --out build/bench-integration
 
 bench-photometry: setup ## Every estimator of normals on renders, photographs and a tire (figures in build/)
 	sh tests/benchmarks/photometry/povray.sh

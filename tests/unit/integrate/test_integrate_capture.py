@@ -123,6 +123,18 @@ def test_grooves_stay_sharp_and_heights_beat_the_laser(capture, profile):
         assert np.sqrt(np.mean(part**2)) < LASER_STD
 
 
+def test_the_solve_may_take_other_normals_than_those_that_tell_of_cuts(capture, profile):
+    grid, sections, surface, views = capture
+    same = integrate_capture(iter(views), sections, surface, grid, 10, iter(views))
+    np.testing.assert_array_equal(same.r, profile.r)
+    half = len(grid.theta) // 2
+    quiet = np.random.default_rng(2)
+    rows = (np.arange(0, half + 20), np.arange(half - 20, len(grid.theta)))
+    others = [make_view(grid, quiet, part) for part in rows]
+    other = integrate_capture(iter(views), sections, surface, grid, 10, iter(others))
+    assert np.nanmax(np.abs(other.r - profile.r)) > 0.01
+
+
 def test_smooth_bias_of_the_slopes_is_taken_out(capture, profile):
     """Slopes off by a degree, oppositely in two views: 9 mm between sections are 0.18 mm."""
     grid = capture[0]

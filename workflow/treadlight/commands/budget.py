@@ -137,12 +137,13 @@ class _Case:
         if source in ("laser", "both"):
             r = true_points(self.truth, sections.r, sections.theta, sections.z)
             sections = replace(sections, r=r)
+        instead = normals
         if source in ("photometry", "both"):
-            normals = [
+            instead = [
                 replace(v, normal=without_error(self.truth, v.normal, v.theta, v.z, grid.step_z))
                 for v in normals
             ]
-        return integrate.integrate_capture(normals, sections, first, grid, held_out_every=0), grid
+        return integrate.integrate_capture(normals, sections, first, grid, 0, instead), grid
 
     def _registered(self, rig: "Rig") -> "tuple[xr.Dataset, xr.Dataset]":
         """laser.zarr and surface.zarr as this rig gives them."""

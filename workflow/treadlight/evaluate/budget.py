@@ -5,7 +5,12 @@ from typing import Any
 import numpy as np
 
 from treadlight.evaluate.metrics import NORMAL_BLUR_CELLS, evaluate_profile
-from treadlight.evaluate.surface import interpolate_at, normals_at
+from treadlight.evaluate.surface import (
+    classify,
+    interpolate_at,
+    normals_at,
+    outer_envelope,
+)
 from treadlight.evaluate.truth import Profile
 
 # In the order of the table; the key is what `treadlight budget --json` calls it.
@@ -35,7 +40,9 @@ def true_points(truth: Profile, r: np.ndarray, theta: np.ndarray, z: np.ndarray)
 def without_error(
     truth: Profile, normal: np.ndarray, theta: np.ndarray, z: np.ndarray, cell_mm: float
 ) -> np.ndarray:
-    """A view's normals without their error, (v, u, 3) float32, where it has any.
+    """A view's normals, (v, u, 3) float32, on block tops and groove floors without their error.
+
+    Beside walls they stay as measured: a pixel there sees both, and its mean is nobody's truth.
 
     Parameters
     ----------
@@ -48,8 +55,10 @@ def without_error(
         The cell of the result, which is about a pixel.
     """
     true = normals_at(truth, theta, z, NORMAL_BLUR_CELLS * cell_mm)
-    known = np.isfinite(normal).all(axis=-1) & np.isfinite(true).all(axis=-1)
-    return np.where(known[..., None], true, np.nan).astype(np.float32)
+    classes = classify(truth, outer_envelope(truth))
+    clear = interpolate_at(truth, (classes["top"] | classes["floor"]).astype(float), theta, z) == 1
+    known = np.isfinite(normal).all(axis=-1) & np.isfinite(true).all(axis=-1) & clear
+    return np.where(known[..., None], true, normal).astype(np.float32)
 
 
 def budget_row(

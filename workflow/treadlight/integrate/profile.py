@@ -106,6 +106,7 @@ def integrate_capture(
     surface: FirstSurface,
     grid: CylinderGrid,
     held_out_every: int,
+    instead: Iterable[ViewNormals] | None = None,
 ) -> Profile:
     """Heights from slopes, laser sections and the first surface, with their uncertainty.
 
@@ -123,9 +124,11 @@ def integrate_capture(
         On the grid.
     grid : CylinderGrid
     held_out_every : int
-        Every n-th section stays out of the first solve; 0 = none, and one solve.
+        Every n-th section stays out of the first solve; 0 = none.
+    instead : iterable of ViewNormals, optional
+        Normals that the solve takes instead of the views', which still tell where cuts are.
     """
-    case = _prepare(views, sections, surface, grid)
+    case = _prepare(views, sections, surface, grid, instead)
     proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every))
     case = case.upright(first_r)
     solved = case.solve(case.laser.select(case.closed.on_tread))
@@ -277,13 +280,13 @@ def _prepare(
     sections: LaserSections,
     surface: FirstSurface,
     grid: CylinderGrid,
+    instead: Iterable[ViewNormals] | None,
 ) -> _Case:
     start = prior.complete(surface.r)
     usual_std = float(np.nanmedian(surface.r_std))
     spacing = prior.section_spacing(sections.encoder, grid)
     bridged = bridged_surface(start, usual_std, spacing, grid)
-    seen = (view_field(seen_on(v, bridged, grid), grid) for v in views)
-    fields = [f for f in seen if f is not None]
+    fields = _fields(views, bridged, grid)
     laser = laser_cells(
         sections.r,
         sections.theta,
@@ -302,6 +305,8 @@ def _prepare(
         sections.shared_rows,
         grid,
     )
+    if instead is not None:
+        fields = _fields(instead, bridged, grid)
     fields = [_outside(f, closed.reach) for f in fields]
     # Two sections' errors are spread over the cells between them.
     bridge_std = usual_std * np.sqrt(2 / spacing)
@@ -333,6 +338,14 @@ def _prepare(
         regions.rib_of_column,
         [np.zeros(grid.shape[1])] * len(fields),
     )
+
+
+def _fields(
+    views: Iterable[ViewNormals], bridged: np.ndarray, grid: CylinderGrid
+) -> list[ViewField]:
+    """The views that see the grid, on it."""
+    seen = (view_field(seen_on(view, bridged, grid), grid) for view in views)
+    return [field for field in seen if field is not None]
 
 
 def _leaning(field: ViewField, lean: np.ndarray) -> ViewField:
