@@ -166,7 +166,7 @@ def _draw(heights: dict[str, np.ndarray], grid: CylinderGrid, truth: Profile, ou
     true = interpolate(truth, truth.r, grid.theta, grid.z)
     seen = heights["seen"]
     row = int(np.argmax(seen.sum(axis=1)))
-    column = int(np.argmax(seen.sum(axis=0)))
+    column = int(np.argmax((seen & np.isfinite(true)).sum(axis=0)))
     figure, axes = plt.subplots(2, 1, figsize=(11, 7), constrained_layout=True)
     arc = grid.nominal_radius_mm * (grid.theta - grid.theta[0])
     for axis, x, pick, label in (
