@@ -28,6 +28,7 @@ from treadlight.errors import StoreError
 from treadlight.geometry import Axis, Camera, Illumination, Led, Plane, Rig, Vignetting
 
 ROOT_METADATA = "zarr.json"
+PROVENANCE_SUFFIX = ".provenance.json"
 _CHUNK = 256
 _SHARD = 1024
 _CONVENTIONS = "CF-1.11"
@@ -279,7 +280,7 @@ def _read_checked(path: Path) -> str:
 
 def provenance_of(path: Path) -> Path:
     """Where it stands what a product (store's folder, or file) was made from."""
-    return path.with_name(path.name + ".provenance.json")
+    return path.with_name(path.name + PROVENANCE_SUFFIX)
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from treadlight.evaluate.budget import SOURCES, budget_row, true_points, without_error
+from treadlight.evaluate.budget import (
+    SOURCES,
+    budget_row,
+    smooth_normals,
+    true_points,
+    without_error,
+)
 from treadlight.evaluate.surface import classify, outer_envelope, true_normals
 from treadlight.evaluate.text import render_budget
 
@@ -27,7 +33,7 @@ def test_normals_on_tops_and_floors_are_the_truths_where_there_were_any(truth):
     theta, z = np.meshgrid(truth.theta, truth.z, indexing="ij")
     measured = np.broadcast_to([1.0, 0, 0], (*theta.shape, 3)).copy()
     measured[3, 4] = np.nan
-    found = without_error(truth, measured, theta, z, 0.4)
+    found = without_error(truth, smooth_normals(truth, 0.4), measured, theta, z)
     assert np.isnan(found[3, 4]).all()
     classes = classify(truth, outer_envelope(truth))
     clear = classes["top"] | classes["floor"]

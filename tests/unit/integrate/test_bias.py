@@ -8,7 +8,8 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate.bias import lean_of_ribs, shared_columns
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
-from treadlight.integrate.solve import shared_noise
+from treadlight.integrate.multigrid import System
+from treadlight.integrate.solve import Problem, perturbation, shared_noise
 
 STEP = 0.3
 SPACING = 12
@@ -107,3 +108,17 @@ def test_shared_noise_has_unit_variance_and_the_sum_of_correlations_asked_for(sh
     assert 50 * means.var() == pytest.approx(shared, rel=0.15)
     along = ndimage.uniform_filter1d(noise, 50, axis=0)[25:-25:50]
     assert 50 * along.var() == pytest.approx(1.0, rel=0.15)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_jumps_share_their_noise_with_those_beside_them_not_with_the_next(axis, rng):
+    """Jumps along one axis alone: their differences are the right-hand side."""
+    shape, nothing = (300, 300), np.zeros((300, 300))
+    weights = [np.ones(shape), nothing] if axis == 0 else [nothing, np.ones(shape)]
+    noise = perturbation(
+        Problem(None, None, nothing, nothing), System(*weights, nothing), nothing, 6.0, rng
+    )
+    across = np.mean(noise * np.roll(noise, 1, axis=1 - axis)) / np.mean(noise**2)
+    along = np.mean(noise * np.roll(noise, 2, axis=axis)) / np.mean(noise**2)
+    assert across > 0.8
+    assert abs(along) < 0.05

@@ -237,3 +237,26 @@ def test_normals_follow_the_surface(capture, profile):
     assert np.nanmedian(miss) < np.degrees(TILT_STD)
     length = np.linalg.norm(profile.normal, axis=-1)
     np.testing.assert_allclose(length[np.isfinite(length)], 1, rtol=1e-5)
+
+
+def test_errors_that_neighbours_share_make_heights_less_certain(capture, profile, monkeypatch):
+    grid, sections, surface, views = capture
+    stds = []
+    for shared in (1.0, 6.0):
+        monkeypatch.setattr("treadlight.integrate.profile.shared_columns", lambda *_, k=shared: k)
+        found = integrate_capture(iter(views), sections, surface, grid, 0)
+        stds.append(np.median(found.r_std[:, classes(grid)[0]]))
+    assert stds[1] > 1.2 * stds[0]
+
+
+def test_what_a_rib_leans_after_the_first_solve_is_taken_from_its_slopes(capture, monkeypatch):
+    grid, sections, surface, views = capture
+    top = classes(grid)[0]
+    leans = []
+    for lean in (0.0, 0.05):
+        monkeypatch.setattr(
+            "treadlight.integrate.profile.lean_of_ribs", lambda *_, k=lean: np.full(len(grid.z), k)
+        )
+        found = integrate_capture(iter(views), sections, surface, grid, 0)
+        leans.append(np.median(np.diff(found.r, axis=1)[:, top[1:] & top[:-1]]) / STEP)
+    assert leans[1] - leans[0] > 0.002

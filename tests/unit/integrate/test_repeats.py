@@ -110,3 +110,17 @@ def test_no_slot_is_put_where_the_pattern_is_another(rng):
     )
     assert cut.sum() < 0.01 * cut[HIDDEN].size
     assert unknown.sum() > 0.05 * cut[HIDDEN].size
+
+
+def test_doubt_goes_on_across_the_end_of_a_whole_turn(monkeypatch, rng):
+    """Nine rows as likely in a cut as not, on either side of the end: all are doubtful."""
+    n = 1440
+    likely = np.full((n, COLUMNS), np.nan)
+    likely[np.r_[0:4, n - 5 : n]] = 0.5
+    monkeypatch.setattr("treadlight.integrate.gaps.repeated", lambda *_: likely)
+    cuts, looked = np.zeros((n, COLUMNS), bool), np.isnan(likely)
+    laser, deep = points(cuts, rng)
+    _, unknown = hidden_cuts(
+        cuts, looked, laser, deep, RIB, 0.05, SPACING, 2.0, grid_of(n, periodic=True)
+    )
+    np.testing.assert_array_equal(unknown, ~looked)

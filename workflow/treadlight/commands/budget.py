@@ -121,7 +121,7 @@ class _Case:
 
     def _profile(self, source: str) -> "tuple[integrate.Profile, CylinderGrid]":
         from treadlight import integrate
-        from treadlight.evaluate.budget import true_points, without_error
+        from treadlight.evaluate.budget import smooth_normals, true_points, without_error
 
         surface, laser, views, rig = self.surface, self.laser, self.views, self.rig
         if source == "calibration":
@@ -139,8 +139,9 @@ class _Case:
             sections = replace(sections, r=r)
         instead = normals
         if source in ("photometry", "both"):
+            smooth = smooth_normals(self.truth, grid.step_z)
             instead = [
-                replace(v, normal=without_error(self.truth, v.normal, v.theta, v.z, grid.step_z))
+                replace(v, normal=without_error(self.truth, smooth, v.normal, v.theta, v.z))
                 for v in normals
             ]
         return integrate.integrate_capture(normals, sections, first, grid, 0, instead), grid

@@ -126,7 +126,7 @@ def print_report(report: Any, render: Callable[[Any], str], as_json: bool) -> No
 
 def recorded_settings(product: Path) -> dict[str, Any]:
     """The settings that a product was made with, from what is written beside it."""
-    content = store.read_json(product.with_name(product.name + ".provenance.json"))
+    content = store.read_json(store.provenance_of(product))
     settings: dict[str, Any] = content["config"]
     return settings
 

@@ -7,11 +7,11 @@ from treadlight import store
 from treadlight.commands import common
 from treadlight.errors import StoreError
 
-SUFFIX = ".provenance.json"
-
 
 def provenance_files(results: Path) -> list[Path]:
-    return sorted(p for p in results.rglob(f"*{SUFFIX}") if not is_hidden(results, p))
+    return sorted(
+        p for p in results.rglob(f"*{store.PROVENANCE_SUFFIX}") if not is_hidden(results, p)
+    )
 
 
 def read_provenance(path: Path) -> dict[str, Any] | None:
@@ -49,7 +49,7 @@ def with_followers(results: Path, products: set[str]) -> set[str]:
     made_from = {}
     for path in provenance_files(results):
         content = read_provenance(path)
-        name = path.relative_to(results).as_posix().removesuffix(SUFFIX)
+        name = path.relative_to(results).as_posix().removesuffix(store.PROVENANCE_SUFFIX)
         made_from[name] = set(content["inputs"]) if content else set()
     found = products | {"index.html", "products.json"}
     while True:

@@ -77,21 +77,22 @@ def find_stale(results: Path) -> dict[str, str]:
     """Why a product is not what snakemake would make now, by its path below the results."""
     from functools import cache
 
+    from treadlight import store
     from treadlight.commands import provenance
     from treadlight.commands.names import COMMANDS
     from treadlight.planning.code import code_digest
 
-    code_now = cache(code_digest)
+    code_now = cache(lambda module: code_digest(f"treadlight.commands.{module}"))
     found = {}
     for path in provenance.provenance_files(results):
         content = provenance.read_provenance(path)
         if content is None:
             continue
-        name = path.relative_to(results).as_posix().removesuffix(provenance.SUFFIX)
-        module = f"treadlight.commands.{COMMANDS[content['command']]}"
+        name = path.relative_to(results).as_posix().removesuffix(store.PROVENANCE_SUFFIX)
+        module = COMMANDS.get(content["command"])
         if told := provenance.changed_input(results, content):
             found[name] = f"{told} has changed since"
-        elif content["code_digest"] not in ("", code_now(module)):
+        elif module is None or content["code_digest"] not in ("", code_now(module)):
             found[name] = "made by other code"
     return found
 

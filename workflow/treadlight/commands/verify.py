@@ -14,8 +14,8 @@ import shutil
 import sys
 from pathlib import Path
 
+from treadlight import store
 from treadlight.commands.provenance import (
-    SUFFIX,
     changed_input,
     digest_of,
     is_hidden,
@@ -78,7 +78,6 @@ def find_damage(results: Path) -> dict[str, str]:
 
 def _listed_files(results: Path) -> dict[str, str]:
     """Files that are not as products.json says, and files that it does not know."""
-    from treadlight import store
     from treadlight.commands.status import contract_products, read_outcome
     from treadlight.errors import StoreError
 
@@ -118,7 +117,6 @@ def _listed_files(results: Path) -> dict[str, str]:
 
 def _stores(results: Path) -> dict[str, str]:
     """Stores that do not match their own digest, those between the stages too."""
-    from treadlight import store
     from treadlight.errors import StoreError
 
     found = {}
@@ -134,7 +132,7 @@ def _provenance(results: Path) -> dict[str, str]:
     """Products that are not what their provenance tells of, and provenance that is damaged."""
     found: dict[str, str] = {}
     for path in provenance_files(results):
-        product = path.with_name(path.name.removesuffix(SUFFIX))
+        product = path.with_name(path.name.removesuffix(store.PROVENANCE_SUFFIX))
         name = product.relative_to(results).as_posix()
         content = read_provenance(path)
         if content is None:
@@ -146,7 +144,7 @@ def _provenance(results: Path) -> dict[str, str]:
         elif told := changed_input(results, content):
             found[name] = f"was made from another state of {told}."
     for folder in _store_folders(results):
-        if not folder.with_name(folder.name + SUFFIX).is_file():
+        if not folder.with_name(folder.name + store.PROVENANCE_SUFFIX).is_file():
             name = folder.relative_to(results).as_posix()
             found.setdefault(name, "has no provenance.")
     for path in sorted(results.rglob("*")):
@@ -162,7 +160,7 @@ def describe_provenance(results: Path) -> list[str]:
         content = read_provenance(path)
         if content is None:
             continue
-        name = path.relative_to(results).as_posix().removesuffix(SUFFIX)
+        name = path.relative_to(results).as_posix().removesuffix(store.PROVENANCE_SUFFIX)
         inputs = ", ".join(f"{k} {str(v)[:_DIGITS]}" for k, v in content["inputs"].items())
         lines.append(
             f"{name}: by {content['command']} of treadlight {content['treadlight']}, code"
@@ -174,7 +172,6 @@ def describe_provenance(results: Path) -> list[str]:
 
 def remove_product(path: Path) -> None:
     """Delete a store or file with its provenance."""
-    from treadlight import store
 
     if path.is_dir():
         shutil.rmtree(path)
@@ -207,7 +204,7 @@ def _is_single_product(results: Path, path: Path) -> bool:
     return (
         len(parts) > 2
         and path.suffix in (".json", ".csv", ".html")
-        and not path.name.endswith(SUFFIX)
+        and not path.name.endswith(store.PROVENANCE_SUFFIX)
         and not any(part.endswith(".zarr") for part in parts)
         and parts[0] not in _BESIDE
         and not is_hidden(results, path)
@@ -215,7 +212,7 @@ def _is_single_product(results: Path, path: Path) -> bool:
 
 
 def _has_provenance(path: Path) -> bool:
-    return path.with_name(path.name + SUFFIX).is_file()
+    return path.with_name(path.name + store.PROVENANCE_SUFFIX).is_file()
 
 
 def _visible_files(path: Path) -> list[Path]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from treadlight.geometry import Axis
 from treadlight.tread import TOP, Regions
+from treadlight.tread.robust import solve_robust
 
 FLAGS = ("none", "multiple", "saturated", "weak", "ghost", "outlier")
 NONE, MULTIPLE, SATURATED, WEAK, GHOST, OUTLIER = (1 << k for k in range(len(FLAGS)))
@@ -20,10 +21,9 @@ _DOUBT_SHARE = 0.5
 _SURE_SHARE = 0.9
 # A radius further than this share from the nominal one is no tread.
 _RADIUS_SHARE = 0.2
-# Tukey's biweight at 95 % efficiency; a millimetre's thousandth is no deviation to divide by.
-_TUKEY = 4.685
-_ROUNDS = 20
-_LEAST_STD_MM = 1e-3
+# No prior, and a variance (mm2) to divide by where a point claims to have none.
+_ANYTHING = np.array([np.inf])
+_NOTHING = 1e-6
 # Where a point sits within its pixel is unknown by the deviation of a uniform distribution.
 _PIXEL_STD = 0.29
 
@@ -237,17 +237,8 @@ def closure_mm(sections: Sections, tops: np.ndarray) -> float:
         spread = variance[k] + (1 - share) ** 2 * variance[low] + share**2 * variance[after]
         known = np.isfinite(miss)
         if known.any():
-            misses.append(_robust_mean(miss[known], np.sqrt(spread[known])))
+            level, _ = solve_robust(
+                np.ones((known.sum(), 1)), miss[known], _ANYTHING, 1 / (spread[known] + _NOTHING)
+            )
+            misses.append(float(level[0]))
     return float(np.sqrt(np.mean(np.square(misses)))) if misses else float("nan")
-
-
-def _robust_mean(values: np.ndarray, std: np.ndarray) -> float:
-    """Mean (k,) by Tukey's biweight about the median, both weighted by inverse variances."""
-    sure = 1 / np.maximum(std, _LEAST_STD_MM) ** 2
-    order = np.argsort(values)
-    total = np.cumsum(sure[order])
-    mean = float(values[order][np.searchsorted(total, 0.5 * total[-1])])
-    for _ in range(_ROUNDS):
-        weight = sure * np.maximum(1 - (values - mean) ** 2 * sure / _TUKEY**2, 0) ** 2
-        mean = float(np.average(values, weights=weight))
-    return mean

@@ -8,8 +8,8 @@ from treadlight.evaluate.metrics import NORMAL_BLUR_CELLS, evaluate_profile
 from treadlight.evaluate.surface import (
     classify,
     interpolate_at,
-    normals_at,
     outer_envelope,
+    true_normals,
 )
 from treadlight.evaluate.truth import Profile
 
@@ -37,27 +37,40 @@ def true_points(truth: Profile, r: np.ndarray, theta: np.ndarray, z: np.ndarray)
     return np.where(np.isfinite(r) & np.isfinite(true), true, r)
 
 
-def without_error(
-    truth: Profile, normal: np.ndarray, theta: np.ndarray, z: np.ndarray, cell_mm: float
-) -> np.ndarray:
-    """A view's normals, (v, u, 3) float32, on block tops and groove floors without their error.
+def smooth_normals(truth: Profile, cell_mm: float) -> np.ndarray:
+    """True normals (n, m, 3) of block tops and groove floors on the truth's cells, else NaN.
 
-    Beside walls they stay as measured: a pixel there sees both, and its mean is nobody's truth.
+    Beside walls a pixel sees both, and its mean is nobody's truth.
 
     Parameters
     ----------
     truth : Profile
+    cell_mm : float
+        The cell of the result, which is about a pixel.
+    """
+    classes = classify(truth, outer_envelope(truth))
+    normals = true_normals(truth, NORMAL_BLUR_CELLS * cell_mm)
+    return np.where((classes["top"] | classes["floor"])[..., None], normals, np.nan)
+
+
+def without_error(
+    truth: Profile, smooth: np.ndarray, normal: np.ndarray, theta: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """A view's normals, (v, u, 3) float32, on block tops and groove floors without their error.
+
+    Parameters
+    ----------
+    truth : Profile
+    smooth : (n, m, 3) float
+        See `smooth_normals`.
     normal : (v, u, 3) float
         Measured, NaN where there is none.
     theta, z : (v, u) float
         Scene points, rad and mm.
-    cell_mm : float
-        The cell of the result, which is about a pixel.
     """
-    true = normals_at(truth, theta, z, NORMAL_BLUR_CELLS * cell_mm)
-    classes = classify(truth, outer_envelope(truth))
-    clear = interpolate_at(truth, (classes["top"] | classes["floor"]).astype(float), theta, z) == 1
-    known = np.isfinite(normal).all(axis=-1) & np.isfinite(true).all(axis=-1) & clear
+    true = np.stack([interpolate_at(truth, smooth[..., k], theta, z) for k in range(3)], axis=-1)
+    true /= np.linalg.norm(true, axis=-1, keepdims=True)
+    known = np.isfinite(normal).all(axis=-1) & np.isfinite(true).all(axis=-1)
     return np.where(known[..., None], true, normal).astype(np.float32)
 
 

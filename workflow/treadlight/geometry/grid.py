@@ -43,6 +43,11 @@ class CylinderGrid:
         """Whether the grid is a whole turn: the last cell is a neighbour of the first."""
         return abs(len(self.theta) * self.step_theta - 2 * np.pi) < 1e-6 * self.step_theta
 
+    @property
+    def filter_mode(self) -> tuple[str, str]:
+        """How scipy's filters go on beyond the borders."""
+        return ("wrap" if self.periodic else "nearest", "nearest")
+
     @classmethod
     def whole_turn(
         cls, z_range: tuple[float, float], step_mm: float, nominal_radius_mm: float

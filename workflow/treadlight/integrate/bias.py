@@ -16,6 +16,7 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate.edges import CHI2_MEDIAN
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
+from treadlight.tread.robust import solve_robust
 
 # Bias over a view: polynomials of the place in it up to this degree, as many as the points tell.
 _MAX_DEGREE = 5
@@ -439,13 +440,10 @@ def lean_of_ribs(
 
 
 def _robust_line(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> tuple[float, float]:
-    """Slope of a line through y(x), (k,), by Tukey's biweight, and its variance."""
-    sure = 1 / std**2
-    weight = sure
-    for _ in range(_ROUNDS):
-        centre = np.average(x, weights=weight), np.average(y, weights=weight)
-        dx, dy = x - centre[0], y - centre[1]
-        slope = float((weight * dx * dy).sum() / (weight * dx**2).sum())
-        off = (dy - slope * dx) ** 2 * sure / _TUKEY**2
-        weight = sure * np.maximum(1 - off, 0) ** 2
-    return slope, float(1 / (weight * dx**2).sum())
+    """Slope of a robust line through y(x), (k,), and its variance."""
+    weight = 1 / std**2
+    weight /= weight.mean()
+    x = x - np.average(x, weights=weight)
+    basis = np.column_stack([np.ones_like(x), x])
+    (_, slope), scale = solve_robust(basis, y, np.full(2, np.inf), weight)
+    return float(slope), float(scale**2 / (weight * x**2).sum())

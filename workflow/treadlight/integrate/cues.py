@@ -74,7 +74,7 @@ def dark_lines(dark: np.ndarray, grid: CylinderGrid) -> np.ndarray:
 
     The edge is the middle of the slope of its darkness, which the blur of a camera does not move.
     """
-    mode = ("wrap" if grid.periodic else "nearest", "nearest")
+    mode = grid.filter_mode
     known = dark[dark != 0]
     if not known.size:
         return np.zeros_like(dark)

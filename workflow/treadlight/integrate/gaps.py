@@ -51,9 +51,12 @@ def hidden_cuts(
     hidden = find_patches(likely > 0.5, grid)
     hidden = hidden.select(hidden.share(likely > _SURELY) > 0)
     doubt = (likely > 1 - _SURELY) & (likely < _SURELY)
-    doubt = ndimage.binary_opening(doubt, np.ones((1 + round(spacing * _NARROW), 1)))
+    wide = (1 + round(spacing * _NARROW), 1)
+    doubt = ndimage.grey_opening(doubt.astype(np.uint8), wide, mode=grid.filter_mode) > 0
     alone = np.isnan(likely) & ~looked
-    return hidden.mask & ~doubt, doubt | (alone & undecided(laser, std, grid))
+    if alone.any():
+        doubt |= alone & undecided(laser, std, grid)
+    return hidden.mask & ~doubt, doubt
 
 
 def undecided(laser: LaserCells, std: float, grid: CylinderGrid) -> np.ndarray:
@@ -98,6 +101,7 @@ def looked_at(fields: Sequence[ViewField], spacing: float, grid: CylinderGrid) -
     sloped = np.zeros(grid.shape, bool)
     for field in fields:
         sloped[field.rows] |= np.isfinite(field.slope[0])
-    mode = ("wrap" if grid.periodic else "nearest", "nearest")
-    # What is no wider than two thirds of the sections' distance.
-    return ndimage.maximum_filter(sloped, 2 * round(spacing / 3) + 1, mode=mode)
+    # What is no wider than two thirds of the sections' distance; nothing beyond the views' ends.
+    size = 2 * round(spacing / 3) + 1
+    spread = ndimage.maximum_filter(sloped, size, mode=grid.filter_mode)
+    return ndimage.minimum_filter(spread, size, mode=grid.filter_mode)

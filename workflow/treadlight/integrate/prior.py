@@ -152,7 +152,7 @@ def drift_rate(
 
 def step_height(start: np.ndarray, std: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     """Height of the first surface's step around each cell beyond its noise, (n, m) mm."""
-    mode = ("wrap" if grid.periodic else "nearest", "nearest")
+    mode = grid.filter_mode
     size = 2 * _STEP_WINDOW + 1
     reach = ndimage.maximum_filter(start, size, mode=mode)
     reach -= ndimage.minimum_filter(start, size, mode=mode)

@@ -132,12 +132,8 @@ def integrate_capture(
     proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every))
     case = case.upright(first_r)
     solved = case.solve(case.laser.select(case.closed.on_tread))
-    photometry, solution, closed, laser = (
-        solved.photometry,
-        solved.solution,
-        case.closed,
-        case.laser,
-    )
+    photometry, solution = solved.photometry, solved.solution
+    closed, laser = case.closed, case.laser
     std = factor * solved.std(grid)
     depth, depth_std = slot_depths(
         closed.slots,
@@ -199,6 +195,10 @@ class _Case:
         Distance of sections, cells along theta; see `LaserSections`.
     usual_std, noise : float
         Standard deviation of the first surface, and of an edge from cell to cell.
+    rib_of_column : (m,) int
+        0 in grooves.
+    leans : list of (m,) float64
+        What the slopes along z of each field lack; see `lean_of_ribs`.
     """
 
     grid: CylinderGrid
@@ -241,7 +241,7 @@ class _Case:
             lean_of_ribs(f, told, r, self.rib_of_column, self.shared_rows, self.grid)
             for f in self.fields
         ]
-        return replace(self, leans=[a + b for a, b in zip(self.leans, leans, strict=True)])
+        return replace(self, leans=leans)
 
     def problem(self, photometry: Photometry, laser: LaserCells) -> Problem:
         start = self.closed.r
@@ -356,7 +356,7 @@ def _leaning(field: ViewField, lean: np.ndarray) -> ViewField:
 
 
 def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
-    """Solve without the sections of a mask (s,): what they say, and the factor they ask for."""
+    """Heights without the sections of a mask (s,), what these say, the factor they ask for."""
     tread_points = case.laser.select(case.closed.on_tread)
     out = out[tread_points.section]
     # The first surface knows the held-out sections: only where it counts for nothing against the
@@ -366,7 +366,8 @@ def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
         lit[field.rows] |= np.isfinite(field.slope[0])
     held = tread_points.select(out & lit[tread_points.row, tread_points.column])
     if not len(held.value):
-        return compare_held_out(case.closed.r, held), 1.0, case.solve(tread_points).solution.r
+        r = case.solve(tread_points).solution.r if case.fields else case.closed.r
+        return compare_held_out(case.closed.r, held), 1.0, r
     solved = case.solve(tread_points.select(~out))
     solution = solved.solution
     # At a wall a laser point and a cell are not the same place.
@@ -414,21 +415,17 @@ def _steps(solution: Solution, grid: CylinderGrid) -> np.ndarray:
 
 def _clear(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     """Cells with no step within a few cells."""
-    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=_mode(grid))
-
-
-def _mode(grid: CylinderGrid) -> tuple[str, str]:
-    return ("wrap" if grid.periodic else "nearest", "nearest")
+    return ~ndimage.maximum_filter(steps, 2 * _CLEAR_CELLS + 1, mode=grid.filter_mode)
 
 
 def _near(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     """Cells that feel a step through a pixel's resolution."""
-    return ndimage.maximum_filter(steps, 2 * _PIXEL_REACH + 1, mode=_mode(grid))
+    return ndimage.maximum_filter(steps, 2 * _PIXEL_REACH + 1, mode=grid.filter_mode)
 
 
 def _seen(closed: ClosedTread, grid: CylinderGrid) -> np.ndarray:
     """Cells of the tread and of slots' floors, not of their walls."""
-    lowest = ndimage.minimum_filter(closed.opening, 3, mode=_mode(grid))
+    lowest = ndimage.minimum_filter(closed.opening, 3, mode=grid.filter_mode)
     return ~closed.slots.mask | (lowest == 1)
 
 
@@ -437,7 +434,7 @@ def _blurred_slopes(r: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     known = np.isfinite(r)
     level = float(r[known].mean()) if known.any() else 0.0
     weight, total = (
-        ndimage.gaussian_filter(x, _PIXEL_SIGMA, mode=_mode(grid))
+        ndimage.gaussian_filter(x, _PIXEL_SIGMA, mode=grid.filter_mode)
         for x in (known.astype(float), np.where(known, r - level, 0))
     )
     with np.errstate(divide="ignore", invalid="ignore"):

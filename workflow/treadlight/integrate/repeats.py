@@ -11,7 +11,8 @@ from treadlight.integrate.laser import LaserCells
 
 # Points count by a Gaussian of their distance in sections, up to this many.
 _REACH = 2.0
-# A place of the pattern is told by no less than this share of what is around a window.
+# A place of the pattern is told by no less than this share of what is around a window: none that
+# is moved so little that it is hidden itself.
 _LEAST_KNOWN = 0.75
 # Places and columns this share of the sections' distance apart tell the same.
 _FINE = 1 / 32

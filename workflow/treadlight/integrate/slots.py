@@ -135,7 +135,7 @@ def close_cuts(
         grid,
     )
     if hidden.any():
-        broken |= ndimage.maximum_filter(hidden, 3, mode=_mode(grid))
+        broken |= ndimage.maximum_filter(hidden, 3, mode=grid.filter_mode)
         over = _bridge(start, broken, std, laser, depth, grid)
         slots, met = _slots(cues, lines, hidden, over.cut, laser, lost, grid)
     below = over.r[laser.row, laser.column] - laser.value
@@ -143,7 +143,7 @@ def close_cuts(
     return ClosedTread(
         over.r,
         over.bridged,
-        ndimage.maximum_filter(over.cut, 3, mode=_mode(grid)),
+        ndimage.maximum_filter(over.cut, 3, mode=grid.filter_mode),
         slots,
         _opening(slots.mask, ~over.tread, lines, grid),
         met,
@@ -264,7 +264,7 @@ def _slots(
     """
     seen = (cues.poor > _MOSTLY) | (lines > 0) | hidden
     outline = (seen | (cues.tilted > _WALL_TILTED)) & cut
-    mode = _mode(grid)
+    mode = grid.filter_mode
     filled = ndimage.minimum_filter(ndimage.maximum_filter(outline, 3, mode=mode), 3, mode=mode)
     patches = find_patches(filled & cut, grid)
     share = _lost_share(patches, laser, lost)
@@ -326,7 +326,7 @@ def _breaks(cues: Cues, grid: CylinderGrid) -> np.ndarray:
     tilted somewhere, or does not fit.
     """
     poor, tilted = (
-        ndimage.uniform_filter(cue, 3, mode=_mode(grid)) for cue in (cues.poor, cues.tilted)
+        ndimage.uniform_filter(cue, 3, mode=grid.filter_mode) for cue in (cues.poor, cues.tilted)
     )
     poor = poor > _POOR_SHARE
     broken = find_patches(poor | (tilted > _TILTED), grid)
@@ -433,7 +433,3 @@ def _between(row: np.ndarray, off: np.ndarray, n: int, periodic: bool) -> np.nda
     return (
         np.concatenate([np.zeros(0, int), *(np.arange(ends[k] + 1, ends[k + 1]) for k in gaps)]) % n
     )
-
-
-def _mode(grid: CylinderGrid) -> tuple[str, str]:
-    return ("wrap" if grid.periodic else "nearest", "nearest")

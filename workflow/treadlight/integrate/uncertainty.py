@@ -48,7 +48,7 @@ def sampled_std(
     for _ in range(_SAMPLES):
         noise = perturbation(problem, system, pull, shared, rng)
         total += solver.solve(noise, _TOLERANCE_MM, _MAX_ITERATIONS)[0] ** 2
-    mode = ("wrap" if grid.periodic else "nearest", "nearest")
+    mode = grid.filter_mode
     # Logarithms are averaged, so that a wall's uncertainty does not spread over what it flanks;
     # their mean is off by the digamma function of a chi-squared's half degrees of freedom.
     bias = digamma(_SAMPLES / 2) - np.log(_SAMPLES / 2)

@@ -98,7 +98,7 @@ def smooth(
     """
     steps = np.array([grid.step_theta * grid.nominal_radius_mm, grid.step_z])
     sigmas = np.maximum(sigma_mm / steps, 0.5)
-    modes = ("wrap" if grid.periodic else "nearest", "nearest")
+    modes = grid.filter_mode
     known = np.isfinite(values)
     filled = np.where(known, values, 0.0)
     weight = ndimage.gaussian_filter(known.astype(np.float64), sigmas, mode=modes)
