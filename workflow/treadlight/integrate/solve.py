@@ -134,11 +134,11 @@ def weighted_system(
 ) -> tuple[System, np.ndarray]:
     """The linear system under given shares, and the laser's part of its diagonal."""
     laser = problem.laser
-    weight = problem.edges.weight.astype(np.float64) * share
-    data = problem.prior_weight.astype(np.float64)
-    pull = np.zeros_like(data)
+    weight = problem.edges.weight * share
+    pull = np.zeros(weight.shape[1:], np.float32)
     np.add.at(pull, (laser.row, laser.column), laser_share / laser.std**2)
-    return System(weight[0], weight[1], data + pull), pull
+    data = problem.prior_weight.astype(np.float32) + pull
+    return System(weight[0], weight[1], data), pull
 
 
 def linear_solve(
@@ -150,6 +150,7 @@ def linear_solve(
     residual = problem.prior_weight * (problem.prior - r) - pull * r
     np.add.at(residual, (laser.row, laser.column), laser_share / laser.std**2 * laser.value)
     _add_edges(system.w_theta, system.w_z, problem.edges.step, r, residual)
+    residual = residual.astype(np.float32)
     correction, _ = Solver(system).solve(residual, _TOLERANCE_MM, iterations)
     return r + correction
 
@@ -199,7 +200,7 @@ def perturbation(
     ]
     noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
     noise += np.roll(jumps[1], 1, axis=1) - jumps[1]
-    return noise
+    return noise.astype(np.float32)
 
 
 def shared_noise(
