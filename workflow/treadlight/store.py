@@ -29,7 +29,7 @@ from treadlight.geometry import Axis, Camera, Illumination, Led, Plane, Rig, Vig
 
 ROOT_METADATA = "zarr.json"
 PROVENANCE_SUFFIX = ".provenance.json"
-_CHUNK = 256
+CHUNK = 256
 _SHARD = 1024
 _CONVENTIONS = "CF-1.11"
 _HOST = socket.gethostname()
@@ -116,9 +116,9 @@ def _with_strings(dataset: xr.Dataset) -> xr.Dataset:
 def _encoding(variable: xr.Variable) -> dict[str, Any]:
     if not variable.ndim:
         return {}
-    chunks = tuple(min(_CHUNK, max(size, 1)) for size in variable.shape)
+    chunks = tuple(min(CHUNK, max(size, 1)) for size in variable.shape)
     shards = tuple(
-        chunk * min(_SHARD // _CHUNK, max(1, -(-size // chunk)))
+        chunk * min(_SHARD // CHUNK, max(1, -(-size // chunk)))
         for chunk, size in zip(chunks, variable.shape, strict=True)
     )
     encoding: dict[str, Any] = {

@@ -83,7 +83,7 @@ def _sample(results: Path, folder: Path) -> tuple[dict[str, np.ndarray], Cylinde
         )
         for n in capture.views
     ]
-    fields = [field for field in (view_field(view, grid) for view in views) if field is not None]
+    fields = [field for field in (view_field([view], grid) for view in views) if field is not None]
     slope = merge_views(fields, grid).slope
     laser = laser_cells(sections.r, sections.theta, sections.z, sections.r_std, slope, grid)
     sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)

@@ -123,7 +123,7 @@ def test_unsure_points_on_floors_of_grooves_stay(grid, views):
     )
     floor = np.abs(grid.z - GROOVE[0]) < GROOVE[1]
     # The slots run into the groove, and look broken there.
-    fields = [view_field(view, grid) for view in views]
+    fields = [view_field([view], grid) for view in views]
     for field in fields:
         field.flags[:, :, floor] = field.flags[:, :, np.abs(grid.z).argmin()][..., None]
     closed = close_cuts(

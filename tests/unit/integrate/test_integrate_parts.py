@@ -31,7 +31,7 @@ def test_slopes_and_their_variance_follow_from_the_normal():
     """dp = (1 + p^2) sqrt(1 + p^2 + q^2) dn_theta, to first order."""
     grid = sector()
     theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
-    field = view_field(view_at(theta, z, (0.3, -0.2)), grid)
+    field = view_field([view_at(theta, z, (0.3, -0.2))], grid)
     np.testing.assert_allclose(field.slope[0], 0.3, atol=1e-6)
     np.testing.assert_allclose(field.slope[1], -0.2, atol=1e-6)
     factor = 1 + 0.09 + 0.04
@@ -43,7 +43,9 @@ def test_a_view_over_the_seam_of_a_whole_turn_stays_in_one_piece():
     grid = CylinderGrid(-np.pi + np.arange(180) * (2 * np.pi / 180), np.arange(0, 5, 0.5), 100.0)
     rows = np.arange(170, 195)
     theta, z = np.meshgrid(grid.theta[0] + rows * grid.step_theta, grid.z, indexing="ij")
-    field = view_field(view_at(np.where(theta > np.pi, theta - 2 * np.pi, theta), z, (0, 0)), grid)
+    field = view_field(
+        [view_at(np.where(theta > np.pi, theta - 2 * np.pi, theta), z, (0, 0))], grid
+    )
     assert set(field.rows[:25]) == set(rows % 180)
     assert len(field.rows) <= 26
     assert np.isfinite(field.slope[0][:25]).all()
@@ -52,7 +54,7 @@ def test_a_view_over_the_seam_of_a_whole_turn_stays_in_one_piece():
 def test_a_view_beside_the_grid_gives_nothing():
     grid = sector()
     theta, z = np.meshgrid(grid.theta + 1.0, grid.z, indexing="ij")
-    assert view_field(view_at(theta, z, (0, 0)), grid) is None
+    assert view_field([view_at(theta, z, (0, 0))], grid) is None
 
 
 def test_laser_points_move_to_cell_centres_along_the_slope():
@@ -163,7 +165,7 @@ def test_slow_relief_of_the_slopes_counts_as_far_as_the_sections_confirm_it(rng,
     shape = 0.15 * np.sin(wave * theta * 300) * np.sin(wave * z)
     p = 0.15 * wave * np.cos(wave * theta * 300) * np.sin(wave * z)
     q = 0.15 * wave * np.sin(wave * theta * 300) * np.cos(wave * z)
-    field = view_field(view_at(theta, z, (p, q)), grid)
+    field = view_field([view_at(theta, z, (p, q))], grid)
     outline = np.full(grid.shape, 300.0)
     laser = sections_on(outline + real * shape, grid, 38, 0.03, rng)
     walls = np.zeros(grid.shape, bool)
@@ -180,7 +182,7 @@ def test_a_dent_that_stands_out_of_the_slopes_is_not_drawn_in(rng):
     p, q = rng.normal(0, 0.05, (2, *grid.shape))
     dent = (np.abs(theta - 0.5) * 300 < 4) & (np.abs(z) < 4)
     p = np.where(dent, p + 0.2 * np.sign(theta - 0.5), p)
-    field = view_field(view_at(theta, z, (p, q)), grid)
+    field = view_field([view_at(theta, z, (p, q))], grid)
     outline = np.full(grid.shape, 300.0)
     laser = sections_on(outline, grid, 38, 0.05, rng)
     walls = np.zeros(grid.shape, bool)

@@ -216,4 +216,4 @@ def test_blocks_of_single_sections_are_bridged_and_wide_grooves_stay(grid):
 
 def test_a_view_without_a_camera_stays_where_it_is(view, grid):
     assert seen_on(view, np.full(grid.shape, RADIUS + 5), grid) is view
-    assert view_field(view, grid) is not None
+    assert view_field([view], grid) is not None

@@ -184,7 +184,7 @@ def test_cuts_across_the_end_of_a_whole_turn_are_one():
     start = np.full(grid.shape, radius)
     start[cut] -= SLOT_MM
     closed = close_cuts(
-        [view_field(view, grid)], start, LASER_STD, laser, lambda r: 0 * r, 12.0, 1.0, grid
+        [view_field([view], grid)], start, LASER_STD, laser, lambda r: 0 * r, 12.0, 1.0, grid
     )
     assert closed.slots.count == 1
     assert closed.in_slot.sum() == len(grid.z)
@@ -215,7 +215,7 @@ def test_the_tread_is_where_sections_pass_by_the_slots_even_if_most_meet_one(rng
     )  # fmt: skip
     start = value[np.abs(grid.theta[:, None] - at).argmin(axis=1)]
     closed = close_cuts(
-        [view_field(view, grid)], start, LASER_STD, laser, lambda r: 0 * r, 12.0, 1.0, grid
+        [view_field([view], grid)], start, LASER_STD, laser, lambda r: 0 * r, 12.0, 1.0, grid
     )
     assert met.sum() > 5
     np.testing.assert_allclose(closed.r, RADIUS, atol=1e-9)

@@ -128,7 +128,8 @@ class _Case:
             rig = self.true_rig
             laser, surface = self._registered(rig)
             views = {n: self._solved(n, rig) for n in self.views}
-        first, grid = stage.first_surface(surface)
+        grid = stage.grid_of(surface)
+        first = integrate.FirstSurface(surface["r"].to_numpy(), surface["r_std"].to_numpy())
         sections = stage.laser_sections(laser)
         normals = [
             stage.view_normals(view, stage.camera_centre(self.capture, n, rig))

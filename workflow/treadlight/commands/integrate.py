@@ -5,10 +5,13 @@ views the profile comes from the laser alone, without laser points only its shap
 """
 
 import argparse
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from treadlight.commands import common
+from treadlight.spool import Memory, Spool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     out = store.store_folder(args.out)
 
     def work() -> None:
-        profile, report = integrate_products(args, settings)
+        profile, report = integrate_products(args, settings, Spool(out.parent))
         store.write_store(out, profile, title="Profile", source=capture.id)
         store.write_json(args.quality, report)
 
@@ -58,18 +61,18 @@ def run(args: argparse.Namespace) -> int:
 
 
 def integrate_products(
-    args: argparse.Namespace, settings: "integrate.IntegrateSettings"
+    args: argparse.Namespace, settings: "integrate.IntegrateSettings", memory: Memory | Spool
 ) -> "tuple[xr.Dataset, dict[str, Any]]":
-    """profile.zarr and the content of quality.json."""
+    """profile.zarr, its arrays in `memory`, and the content of quality.json."""
     import numpy as np
 
     from treadlight import integrate, store, tread
     from treadlight.archive import read_capture
 
-    surface = store.open_store(args.surface).load()
+    surface = store.open_store(args.surface)
     laser = store.open_store(args.laser).load()
     rig = store.read_rig(args.calibration)
-    first, grid = first_surface(surface)
+    grid = grid_of(surface)
     sections = laser_sections(laser)
     capture = read_capture(args.capture)
     warnings = [*args.warning, *store.read_json(args.calibration).get("warnings", ())]
@@ -82,17 +85,30 @@ def integrate_products(
         )
     if not usable:
         warnings.append("There are no normals: the profile comes from the laser alone.")
-    numbers = [int(store.store_folder(path).name.removeprefix("fov")) for path in usable]
-    views = (
-        view_normals(store.open_store(path).load(), camera_centre(capture, number, rig))
-        for path, number in zip(usable, numbers, strict=True)
-    )
-    told = common.progress(views, f"{capture.id}: views gathered", len(usable), 0)
-    profile = integrate.integrate_capture(told, sections, first, grid, settings.held_out_every)
+    views = []
+    for path in usable:
+        number = int(store.store_folder(path).name.removeprefix("fov"))
+        centre = camera_centre(capture, number, rig)
+        views.append(StoredView(store.open_store(path), centre))
+    joined = integrate.Joined(grid.shape, memory.empty)
+    spacing = integrate.section_spacing(sections.encoder, grid)
+    sectors = list(integrate.sectors_of(grid, spacing, settings.sector_cells))
+    for k, sector in enumerate(sectors):
+        seen = [v for v in views if len(sectors) == 1 or v.sees(sector.grid)]
+        place = f"sector {k + 1} of {len(sectors)}, " if len(sectors) > 1 else ""
+        told = common.progress(seen, f"{capture.id}: {place}views gathered", len(seen), 0)
+        part = surface[["r", "r_std"]].isel(theta=sector.rows).load()
+        first = integrate.FirstSurface(part["r"].to_numpy(), part["r_std"].to_numpy())
+        profile = integrate.integrate_capture(
+            told, sections, first, sector.grid, settings.held_out_every, core=sector.core
+        )
+        joined.add(profile, sector)
+        memory.release()
+    profile = joined.profile()
     regions = tread.find_regions(profile.r, grid)
     closure = laser.attrs.get("closure_mm")
     report = integrate.quality_report(profile, regions, rig, closure, warnings)
-    return _dataset(profile, surface, regions, grid), report
+    return _dataset(profile, surface, regions, grid, memory), report
 
 
 def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
@@ -121,14 +137,12 @@ def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
     return usable, warnings
 
 
-def first_surface(surface: "xr.Dataset") -> "tuple[integrate.FirstSurface, CylinderGrid]":
-    """What a surface.zarr holds."""
+def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
+    """The grid that a surface.zarr lies on."""
     from treadlight.geometry import CylinderGrid
-    from treadlight.integrate import FirstSurface
 
     radius = float(surface.attrs["nominal_radius_mm"])
-    grid = CylinderGrid(surface["theta"].to_numpy(), surface["z"].to_numpy(), radius)
-    return FirstSurface(surface["r"].to_numpy(), surface["r_std"].to_numpy()), grid
+    return CylinderGrid(surface["theta"].to_numpy(), surface["z"].to_numpy(), radius)
 
 
 def laser_sections(laser: "xr.Dataset") -> "integrate.LaserSections":
@@ -156,7 +170,7 @@ def camera_centre(capture: "Capture", view: int, rig: "Rig") -> "np.ndarray | No
 
 
 def view_normals(view: "xr.Dataset", camera: "np.ndarray | None") -> "integrate.ViewNormals":
-    """What a photometric.zarr/fovNN holds, with the centre of its camera."""
+    """What a photometric.zarr/fovNN, or rows of it, holds, with the centre of its camera."""
     import numpy as np
 
     from treadlight.integrate import ViewNormals
@@ -177,36 +191,76 @@ def view_normals(view: "xr.Dataset", camera: "np.ndarray | None") -> "integrate.
     )
 
 
+class StoredView:
+    """A photometric.zarr/fovNN that is read some rows of the image at a time."""
+
+    def __init__(self, view: "xr.Dataset", camera: "np.ndarray | None") -> None:
+        self._view, self._camera = view, camera
+
+    def blocks(self) -> "Iterator[integrate.ViewNormals]":
+        from treadlight.store import CHUNK
+
+        for row in range(0, self._view.sizes["v"], CHUNK):
+            yield view_normals(self._view.isel(v=slice(row, row + CHUNK)).load(), self._camera)
+
+    @cached_property
+    def _reach(self) -> tuple[float, float]:
+        """Middle of the view and half of its width, rad."""
+        import numpy as np
+
+        from treadlight.geometry.axis import wrap_angle
+
+        theta = self._view["theta"].to_numpy().astype(float)
+        theta = theta[np.isfinite(theta)]
+        if not theta.size:
+            return 0.0, -np.inf
+        away = wrap_angle(theta - theta[0])
+        return float(theta[0] + (away.max() + away.min()) / 2), float(np.ptp(away) / 2)
+
+    def sees(self, grid: "CylinderGrid") -> bool:
+        """Whether a part of it lies on an open grid."""
+        from treadlight.geometry.axis import wrap_angle
+
+        middle, half = self._reach
+        own = (grid.theta[0] + grid.theta[-1]) / 2
+        return bool(abs(wrap_angle(middle - own)) <= half + grid.theta[-1] - own)
+
+
 def _dataset(
     profile: "integrate.Profile",
     surface: "xr.Dataset",
     regions: "tread.Regions",
     grid: "CylinderGrid",
+    memory: Memory | Spool,
 ) -> "xr.Dataset":
     import numpy as np
     import xarray as xr
 
     from treadlight import integrate, tread
-    from treadlight.store import flag_attrs, variable
+    from treadlight.store import CHUNK, flag_attrs, variable
 
     reference = tread.fit_reference(profile.r, profile.r_std, grid, regions)
-    height = reference.height(profile.r, grid.theta, grid.z)
+    height = memory.empty(grid.shape, np.float32)
+    for first in range(0, len(height), CHUNK):
+        rows = slice(first, first + CHUNK)
+        height[rows] = reference.height(profile.r[rows], grid.theta[rows], grid.z)
     dims = ("theta", "z")
-
-    def single(values: "np.ndarray", units: str, long_name: str) -> "xr.Variable":
-        return variable(dims, values.astype(np.float32), units, long_name)
-
     variables = {
         "r": variable(dims, profile.r, "mm", "radius from the rig's axis"),
-        "r_std": single(profile.r_std, "mm", "standard uncertainty of r (shape)"),
-        "laser_r": single(surface.laser_r.values, "mm", "radius of the laser sections alone"),
+        "r_std": variable(dims, profile.r_std, "mm", "standard uncertainty of r (shape)"),
+        "laser_r": variable(
+            dims,
+            surface.laser_r.values.astype(np.float32, copy=False),
+            "mm",
+            "radius of the laser sections alone",
+        ),
         "normal": variable(
             (*dims, "component"), profile.normal, "1", "unit normal in the basis (r, theta, z)"
         ),
-        "k_d": single(profile.material[0], "1", "diffuse reflectance factor"),
-        "k_s": single(profile.material[1], "1", "specular reflectance factor"),
-        "alpha": single(profile.material[2], "1", "shininess exponent"),
-        "height": single(height, "mm", "height over the groove reference"),
+        "k_d": variable(dims, profile.material[0], "1", "diffuse reflectance factor"),
+        "k_s": variable(dims, profile.material[1], "1", "specular reflectance factor"),
+        "alpha": variable(dims, profile.material[2], "1", "shininess exponent"),
+        "height": variable(dims, height, "mm", "height over the groove reference"),
         "quality": variable(
             dims,
             integrate.quality_flags(profile),

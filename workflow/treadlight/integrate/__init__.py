@@ -1,6 +1,7 @@
 """Heights on the cylinder from photometric slopes, laser sections and the first surface."""
 
-from treadlight.integrate.gather import ViewNormals
+from treadlight.integrate.gather import View, ViewNormals
+from treadlight.integrate.prior import section_spacing
 from treadlight.integrate.profile import (
     FirstSurface,
     LaserSections,
@@ -8,16 +9,22 @@ from treadlight.integrate.profile import (
     integrate_capture,
 )
 from treadlight.integrate.quality import FLAGS, quality_flags, quality_report
+from treadlight.integrate.sectors import Joined, Sector, sectors_of
 from treadlight.integrate.settings import IntegrateSettings
 
 __all__ = [
     "FLAGS",
     "FirstSurface",
     "IntegrateSettings",
+    "Joined",
     "LaserSections",
     "Profile",
+    "Sector",
+    "View",
     "ViewNormals",
     "integrate_capture",
     "quality_flags",
     "quality_report",
+    "section_spacing",
+    "sectors_of",
 ]

@@ -1,22 +1,37 @@
 """From the normals of a view to slopes of the surface on the cells of the profile's grid."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import Protocol
 
 import numpy as np
 from numba import njit
 
 from treadlight.geometry import CylinderGrid
 
+# Two slopes times their weights, these, material, and how many pixels are usable; the share of
+# each flag, and how many pixels there are.
+_CHANNELS = 12
 FLAGS = ("shadowed", "saturated", "poor_fit")
 POOR_FIT = FLAGS.index("poor_fit")
 # A cell has a slope where at least this much of a pixel fell on it (bilinear shares add up to
 # about one where the view has a pixel per cell).
 _LEAST_SHARE = 0.15
+# Pixels taken at a time.
+_BLOCK_PX = 1 << 20
+
+
+class View(Protocol):
+    """A view that may be larger than the memory."""
+
+    def blocks(self) -> Iterator["ViewNormals"]:
+        """Some rows of the image after the other."""
+        ...
 
 
 @dataclass(frozen=True)
 class ViewNormals:
-    """What the photometric stage found in one view.
+    """What the photometric stage found in one view, or in some rows of its image.
 
     Attributes
     ----------
@@ -43,6 +58,14 @@ class ViewNormals:
     saturated: np.ndarray
     poor_fit: np.ndarray
     camera: np.ndarray | None = None
+
+    def blocks(self) -> Iterator["ViewNormals"]:
+        """Some rows of the image after the other."""
+        height, *width = self.theta.shape
+        step = max(1, _BLOCK_PX // int(np.prod(width, dtype=int)))
+        arrays = [getattr(self, field.name) for field in fields(self) if field.name != "camera"]
+        for row in range(0, height, step):
+            yield ViewNormals(*(a[row : row + step] for a in arrays), self.camera)
 
 
 @dataclass(frozen=True)
@@ -72,22 +95,40 @@ class ViewField:
     blend: np.ndarray
 
 
-def view_field(view: ViewNormals, grid: CylinderGrid) -> ViewField | None:
-    """Slopes of a view on the grid; None where it has no pixel on it.
+def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField | None:
+    """Slopes of a view, given in `blocks`, on the grid; None where it has no pixel on it.
 
     The slopes are p = -n_theta / n_r and q = -n_z / n_r, with the variances that the normal's
     covariance gives to first order. Each pixel is shared bilinearly among the four cells around
     its scene point, weighted by its information (1 / variance).
     """
-    row, column = grid.index(view.theta, view.z)
-    inside = np.isfinite(row) & np.isfinite(column)
-    if not grid.periodic:
-        inside &= (row > -0.5) & (row < grid.shape[0] - 0.5)
-    inside &= (column > -0.5) & (column < grid.shape[1] - 0.5)
-    if not inside.any():
+    total = np.zeros((*grid.shape, _CHANNELS), np.float32)
+    taken = np.zeros(grid.shape[0], bool)
+    low, high = np.inf, -np.inf
+    for view in blocks:
+        row, column = grid.index(view.theta, view.z)
+        inside = np.isfinite(row) & np.isfinite(column)
+        inside &= (column > -0.5) & (column < grid.shape[1] - 0.5)
+        if not grid.periodic:
+            # The view may go on beyond an open grid.
+            low = min(low, row.min(where=inside, initial=np.inf))
+            high = max(high, row.max(where=inside, initial=-np.inf))
+            inside &= (row > -0.5) & (row < grid.shape[0] - 0.5)
+        if inside.any():
+            row, column = row[inside], column[inside]
+            taken[np.maximum(np.floor(row).astype(int), 0)] = True
+            _splat(row, column, _channels(view, inside), grid.periodic, total)
+    if not taken.any():
         return None
-    rows = _rows_covered(row[inside], grid)
-    local = (row[inside] - rows[0]) % grid.shape[0] if grid.periodic else row[inside] - rows[0]
+    rows = _rows_covered(taken, grid)
+    first, last = int(rows[0]), int(rows[0]) + len(rows)
+    if not grid.periodic:
+        first, last = int(np.floor(low)), int(np.floor(high)) + 2
+    return _field(total[rows], rows, _blend(rows[0] - first, len(rows), last - first))
+
+
+def _channels(view: ViewNormals, inside: np.ndarray) -> np.ndarray:
+    """What the pixels of a mask hand to cells, (k, 12) float32."""
     with np.errstate(divide="ignore", invalid="ignore"):
         n_r, n_t, n_z = (view.normal[inside, k].astype(np.float64) for k in range(3))
         slope = np.stack([-n_t / n_r, -n_z / n_r])
@@ -111,9 +152,12 @@ def view_field(view: ViewNormals, grid: CylinderGrid) -> ViewField | None:
             view.poor_fit[inside][None],
             np.ones((1, slope.shape[1])),
         ]
-    ).astype(np.float32)
-    total = np.zeros((len(rows), grid.shape[1], len(channels)), np.float32)
-    _splat(local, column[inside], np.ascontiguousarray(channels.T), total)
+    )
+    return np.ascontiguousarray(channels.astype(np.float32).T)
+
+
+def _field(total: np.ndarray, rows: np.ndarray, blend: np.ndarray) -> ViewField:
+    """Means of the cells from the sums (k, m, 12) of what pixels handed to them."""
     total = np.moveaxis(total, 2, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         known = (total[7] > _LEAST_SHARE) & (total[2] > 0) & (total[3] > 0)
@@ -121,16 +165,18 @@ def view_field(view: ViewNormals, grid: CylinderGrid) -> ViewField | None:
         variance = np.where(known, 1 / total[2:4], np.nan)
         material = np.where(known, total[4:7] / total[7], np.nan)
         flags = np.where(total[11] > 0, total[8:11] / total[11], 0)
-    return ViewField(rows, slope, variance, material, flags, _blend(len(rows)))
+    return ViewField(rows, slope, variance, material, flags, blend)
 
 
-def _rows_covered(row: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """Consecutive rows that hold all points; on a whole turn they may pass its end."""
+def _rows_covered(taken: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Consecutive rows that hold all points, from the rows (n,) that points lie behind.
+
+    On a whole turn they may pass its end.
+    """
     n = grid.shape[0]
     if not grid.periodic:
-        return np.arange(max(int(row.min()), 0), min(int(row.max()) + 2, n))
-    taken = np.zeros(n, bool)
-    taken[np.unique(np.floor(row).astype(int)) % n] = True
+        found = np.flatnonzero(taken)
+        return np.arange(found[0], min(found[-1] + 2, n))
     if taken.all():
         return np.arange(n)
     # The view starts where the longest run of empty rows ends.
@@ -146,13 +192,14 @@ def _gap_before(taken: np.ndarray, row: int) -> int:
     return int(np.argmax(before)) if before.any() else len(taken)
 
 
-def _blend(count: int) -> np.ndarray:
-    place = (np.arange(count) + 0.5) / count
+def _blend(first: int, count: int, whole: int) -> np.ndarray:
+    """Of `count` rows from the `first` on of the `whole` view's."""
+    place = (first + np.arange(count) + 0.5) / whole
     return (2 * np.minimum(place, 1 - place)).astype(np.float32)
 
 
 @njit(cache=True)
-def _splat(row, column, channels, total):
+def _splat(row, column, channels, periodic, total):
     """Share every point's channels bilinearly among the four cells around it."""
     rows, columns, count = total.shape
     for k in range(len(row)):
@@ -162,8 +209,9 @@ def _splat(row, column, channels, total):
         right = column[k] - j
         for a in range(2):
             for b in range(2):
-                if not (0 <= i + a < rows and 0 <= j + b < columns):
+                place = (i + a) % rows if periodic else i + a
+                if not (0 <= place < rows and 0 <= j + b < columns):
                     continue
                 share = (down if a else 1 - down) * (right if b else 1 - right)
                 for c in range(count):
-                    total[i + a, j + b, c] += share * channels[k, c]
+                    total[place, j + b, c] += share * channels[k, c]

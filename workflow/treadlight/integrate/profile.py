@@ -1,6 +1,6 @@
 """The whole integration of one capture: sections, views and first surface in, profile out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from treadlight.integrate.bias import (
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
-from treadlight.integrate.gather import ViewField, ViewNormals, view_field
+from treadlight.integrate.gather import View, ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.sight import bridged_surface, seen_on
 from treadlight.integrate.slots import ClosedTread, close_cuts
@@ -101,12 +101,13 @@ class Profile:
 
 
 def integrate_capture(
-    views: Iterable[ViewNormals],
+    views: Iterable[View],
     sections: LaserSections,
     surface: FirstSurface,
     grid: CylinderGrid,
     held_out_every: int,
-    instead: Iterable[ViewNormals] | None = None,
+    instead: Iterable[View] | None = None,
+    core: slice = slice(None),
 ) -> Profile:
     """Heights from slopes, laser sections and the first surface, with their uncertainty.
 
@@ -116,7 +117,7 @@ def integrate_capture(
 
     Parameters
     ----------
-    views : iterable of ViewNormals
+    views : iterable of View
         May be empty (laser only); taken one by one.
     sections : LaserSections
         May hold no point (photometric only: the shape about the first surface's level).
@@ -125,11 +126,15 @@ def integrate_capture(
     grid : CylinderGrid
     held_out_every : int
         Every n-th section stays out of the first solve; 0 = none.
-    instead : iterable of ViewNormals, optional
+    instead : iterable of View, optional
         Normals that the solve takes instead of the views', which still tell where cuts are.
+    core : slice
+        Rows whose cells and points count in the profile's figures.
     """
     case = _prepare(views, sections, surface, grid, instead)
-    proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every))
+    counted = np.zeros(grid.shape[0], bool)
+    counted[core] = True
+    proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every), counted)
     case = case.upright(first_r)
     solved = case.solve(case.laser.select(case.closed.on_tread))
     photometry, solution = solved.photometry, solved.solution
@@ -164,8 +169,8 @@ def integrate_capture(
         shadowed=photometry.flags[0] > 0.5,
         saturated=photometry.flags[1] > 0.5,
         held_out=proof,
-        laser_points=len(laser.value),
-        normal_residual=_normal_residual(slope, photometry.slope),
+        laser_points=int(counted[laser.row].sum()),
+        normal_residual=_normal_residual(slope[:, core], photometry.slope[:, core]),
     )
 
 
@@ -276,11 +281,11 @@ class _Solved:
 
 
 def _prepare(
-    views: Iterable[ViewNormals],
+    views: Iterable[View],
     sections: LaserSections,
     surface: FirstSurface,
     grid: CylinderGrid,
-    instead: Iterable[ViewNormals] | None,
+    instead: Iterable[View] | None,
 ) -> _Case:
     start = prior.complete(surface.r)
     usual_std = float(np.nanmedian(surface.r_std))
@@ -340,12 +345,14 @@ def _prepare(
     )
 
 
-def _fields(
-    views: Iterable[ViewNormals], bridged: np.ndarray, grid: CylinderGrid
-) -> list[ViewField]:
+def _fields(views: Iterable[View], bridged: np.ndarray, grid: CylinderGrid) -> list[ViewField]:
     """The views that see the grid, on it."""
-    seen = (view_field(seen_on(view, bridged, grid), grid) for view in views)
+    seen = (view_field(_placed(view, bridged, grid), grid) for view in views)
     return [field for field in seen if field is not None]
+
+
+def _placed(view: View, surface: np.ndarray, grid: CylinderGrid) -> Iterator[ViewNormals]:
+    return (seen_on(block, surface, grid) for block in view.blocks())
 
 
 def _leaning(field: ViewField, lean: np.ndarray) -> ViewField:
@@ -355,8 +362,11 @@ def _leaning(field: ViewField, lean: np.ndarray) -> ViewField:
     return replace(field, slope=slope)
 
 
-def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
-    """Heights without the sections of a mask (s,), what these say, the factor they ask for."""
+def _prove(case: _Case, out: np.ndarray, counted: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
+    """Heights without the sections of a mask (s,), what these say, the factor they ask for.
+
+    Of their points those in `counted` rows (n,) enter the figures.
+    """
     tread_points = case.laser.select(case.closed.on_tread)
     out = out[tread_points.section]
     # The first surface knows the held-out sections: only where it counts for nothing against the
@@ -374,7 +384,8 @@ def _prove(case: _Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
     clear = _clear(_steps(solution, case.grid) | case.walls, case.grid)
     held = held.select(clear[held.row, held.column])
     factor = max(1.0, coverage_factor(solution.r, solved.std(case.grid), held))
-    return compare_held_out(solution.r, held), factor, solution.r
+    own = held.select(counted[held.row])
+    return compare_held_out(solution.r, own), factor, solution.r
 
 
 def _outside(field: ViewField, mask: np.ndarray) -> ViewField:
