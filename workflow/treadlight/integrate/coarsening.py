@@ -202,64 +202,81 @@ def _defect(stencil, x, rhs, i, out):
     defect_row(stencil, x, i, out)
 
 
+@njit(cache=True)
+def _restrict_block(stencil, x, rhs, first, last, out):
+    n, m = x.shape
+    rows, columns = out.shape
+    weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
+    fine = np.empty(m, x.dtype)
+    out[first] = 0
+    before = first - 1 if first > 0 else rows - 1
+    if 2 * before + 1 < n:
+        _row_weights(stencil, before, weights)
+        _defect(stencil, x, rhs, 2 * before + 1, fine)
+        _gather_odd(weights, fine, True, out[first])
+    for i in range(2 * first, min(2 * last, n)):
+        a = i // 2
+        _defect(stencil, x, rhs, i, fine)
+        if i % 2 == 0:
+            _row_weights(stencil, a, weights)
+            _gather_even(weights, fine, out[a])
+        else:
+            _gather_odd(weights, fine, False, out[a])
+        if i % 2 == 1 and a + 1 < last:
+            out[a + 1] = 0
+            _gather_odd(weights, fine, True, out[a + 1])
+
+
 @njit(cache=True, parallel=True)
 def restrict_defect(stencil, x, rhs, out):
     """out = P^T (rhs - A x)."""
-    n, m = x.shape
-    rows, columns = out.shape
+    rows = len(out)
     for block in prange((rows + _BLOCK - 1) // _BLOCK):
         first = np.int64(block) * _BLOCK
-        weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
-        fine = np.empty(m, x.dtype)
-        out[first] = 0
-        before = first - 1 if first > 0 else rows - 1
-        if 2 * before + 1 < n:
-            _row_weights(stencil, before, weights)
-            _defect(stencil, x, rhs, 2 * before + 1, fine)
-            _gather_odd(weights, fine, True, out[first])
-        for a in range(first, min(first + _BLOCK, rows)):
-            _row_weights(stencil, a, weights)
-            _defect(stencil, x, rhs, 2 * a, fine)
-            _gather_even(weights, fine, out[a])
-            if 2 * a + 1 < n:
-                _defect(stencil, x, rhs, 2 * a + 1, fine)
-                _gather_odd(weights, fine, False, out[a])
-            if a + 1 < min(first + _BLOCK, rows):
-                out[a + 1] = 0
-                if 2 * a + 1 < n:
-                    _gather_odd(weights, fine, True, out[a + 1])
+        _restrict_block(stencil, x, rhs, first, min(first + _BLOCK, rows), out)
+
+
+@njit(cache=True)
+def _spread_even(weights, coarse, x):
+    for b in range(len(coarse)):
+        x[2 * b] += coarse[b]
+    for b in range(len(x) // 2):
+        x[2 * b + 1] += weights[_LEFT, b] * coarse[b]
+    for b in range(len(coarse) - 1):
+        x[2 * b + 1] += weights[_RIGHT, b] * coarse[b + 1]
+
+
+@njit(cache=True)
+def _spread_odd(weights, above, below, x):
+    for b in range(len(above)):
+        x[2 * b] += weights[_ABOVE, b] * above[b] + weights[_BELOW, b] * below[b]
+    upper, lower = weights[_CORNERS], weights[_CORNERS + 2]
+    for b in range(len(x) // 2):
+        x[2 * b + 1] += upper[b] * above[b] + lower[b] * below[b]
+    upper, lower = weights[_CORNERS + 1], weights[_CORNERS + 3]
+    for b in range(len(above) - 1):
+        x[2 * b + 1] += upper[b] * above[b + 1] + lower[b] * below[b + 1]
+
+
+@njit(cache=True)
+def _prolong_block(stencil, coarse, first, last, x):
+    rows, columns = coarse.shape
+    weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
+    for a in range(first, last):
+        _row_weights(stencil, a, weights)
+        _spread_even(weights, coarse[a], x[2 * a])
+        if 2 * a + 1 < len(x):
+            below = a + 1 if a + 1 < rows else 0
+            _spread_odd(weights, coarse[a], coarse[below], x[2 * a + 1])
 
 
 @njit(cache=True, parallel=True)
 def prolong(stencil, coarse, x):
     """x += P coarse."""
-    n, m = x.shape
-    rows, columns = coarse.shape
+    rows = len(coarse)
     for block in prange((rows + _BLOCK - 1) // _BLOCK):
         first = np.int64(block) * _BLOCK
-        weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
-        for a in range(first, min(first + _BLOCK, rows)):
-            _row_weights(stencil, a, weights)
-            here, below = coarse[a], coarse[a + 1 if a + 1 < rows else 0]
-            for b in range(columns):
-                x[2 * a, 2 * b] += here[b]
-            for b in range(m // 2):
-                right = b + 1 if b + 1 < columns else b
-                x[2 * a, 2 * b + 1] += (
-                    weights[_LEFT, b] * here[b] + weights[_RIGHT, b] * here[right]
-                )
-            if 2 * a + 1 == n:
-                continue
-            for b in range(columns):
-                x[2 * a + 1, 2 * b] += weights[_ABOVE, b] * here[b] + weights[_BELOW, b] * below[b]
-            for b in range(m // 2):
-                right = b + 1 if b + 1 < columns else b
-                x[2 * a + 1, 2 * b + 1] += (
-                    weights[_CORNERS, b] * here[b]
-                    + weights[_CORNERS + 1, b] * here[right]
-                    + weights[_CORNERS + 2, b] * below[b]
-                    + weights[_CORNERS + 3, b] * below[right]
-                )
+        _prolong_block(stencil, coarse, first, min(first + _BLOCK, rows), x)
 
 
 @njit(cache=True)
@@ -368,30 +385,41 @@ def _element(stencil, weights, a, b):
     return total
 
 
+@njit(cache=True)
+def _assemble_row(stencil, a, weights, coarse, right_below, data_below):
+    """Couplings of coarse row a; of the row below what belongs to its `right` and `data`."""
+    for b in range(weights.shape[1]):
+        total = _element(stencil, weights, a, b)
+        coarse.right[a, b] = total[0]
+        right_below[b] = total[5]
+        coarse.below[a, b] += total[1]
+        coarse.below_right[a, b] = total[2]
+        coarse.data[a, b] += total[6]
+        data_below[b] += total[8]
+        if b + 1 < weights.shape[1]:
+            coarse.below_left[a, b + 1] = total[3]
+            coarse.below[a, b + 1] += total[4]
+            coarse.data[a, b + 1] += total[7]
+            data_below[b + 1] += total[9]
+
+
+@njit(cache=True)
+def _assemble_block(stencil, first, last, coarse, right_below, data_below):
+    rows, columns = coarse.data.shape
+    weights = np.empty((_WEIGHTS + _SCRATCH, columns), coarse.data.dtype)
+    for a in range(first, last):
+        down = a + 1 if a + 1 < rows else 0
+        _row_weights(stencil, a, weights)
+        _assemble_row(stencil, a, weights, coarse, right_below[down], data_below[down])
+
+
 @njit(cache=True, parallel=True)
-def _assemble(stencil, right, below, below_right, below_left, data, right_below, data_below):
-    rows, columns = right.shape
+def _assemble(stencil, coarse, right_below, data_below):
+    rows = len(right_below)
     for block in prange((rows + _BLOCK - 1) // _BLOCK):
         first = np.int64(block) * _BLOCK
-        weights = np.empty((_WEIGHTS + _SCRATCH, columns), right.dtype)
-        for a in range(first, min(first + _BLOCK, rows)):
-            _row_weights(stencil, a, weights)
-            down = a + 1 if a + 1 < rows else 0
-            right[a], below[a], below_right[a], below_left[a], data[a] = 0, 0, 0, 0, 0
-            right_below[down], data_below[down] = 0, 0
-            for b in range(columns):
-                total = _element(stencil, weights, a, b)
-                right[a, b] = total[0]
-                right_below[down, b] = total[5]
-                below[a, b] += total[1]
-                below_right[a, b] = total[2]
-                data[a, b] += total[6]
-                data_below[down, b] += total[8]
-                if b + 1 < columns:
-                    below_left[a, b + 1] = total[3]
-                    below[a, b + 1] += total[4]
-                    data[a, b + 1] += total[7]
-                    data_below[down, b + 1] += total[9]
+        last = min(first + _BLOCK, rows)
+        _assemble_block(stencil, first, last, coarse, right_below, data_below)
 
 
 def galerkin(stencil: Stencil) -> Stencil:
@@ -400,9 +428,9 @@ def galerkin(stencil: Stencil) -> Stencil:
     Assembled from elements between four coarse cells, some 240 operations each.
     """
     shape = tuple((size + 1) // 2 for size in stencil.data.shape)
-    coarse = Stencil(*(np.empty(shape, stencil.data.dtype) for _ in range(5)))
-    right_below, data_below = (np.empty(shape, stencil.data.dtype) for _ in range(2))
-    _assemble(stencil, *coarse, right_below, data_below)
+    coarse = Stencil(*(np.zeros(shape, stencil.data.dtype) for _ in range(5)))
+    right_below, data_below = (np.zeros(shape, stencil.data.dtype) for _ in range(2))
+    _assemble(stencil, coarse, right_below, data_below)
     coarse.right[:] += right_below
     coarse.data[:] += data_below
     return coarse

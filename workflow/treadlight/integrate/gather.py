@@ -1,7 +1,7 @@
 """From the normals of a view to slopes of the surface on the cells of the profile's grid."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -63,9 +63,10 @@ class ViewNormals:
         """Some rows of the image after the other."""
         height, *width = self.theta.shape
         step = max(1, _BLOCK_PX // int(np.prod(width, dtype=int)))
-        arrays = [getattr(self, field.name) for field in fields(self) if field.name != "camera"]
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "camera"}
         for row in range(0, height, step):
-            yield ViewNormals(*(a[row : row + step] for a in arrays), self.camera)
+            some = {name: values[row : row + step] for name, values in arrays.items()}
+            yield replace(self, **some)
 
 
 @dataclass(frozen=True)

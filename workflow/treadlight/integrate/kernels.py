@@ -182,20 +182,24 @@ def defect_row(stencil, x, i, out):
         _subtract_flow(out[: m - 1], stencil.below_left[up, 1:], here[: m - 1], above[1:])
 
 
+@njit(cache=True)
+def _product_row(stencil, x, i, out):
+    out[:] = 0
+    defect_row(stencil, x, i, out)
+    total = 0.0
+    for j in range(len(out)):
+        out[j] = -out[j]
+        total += np.float64(x[i, j]) * np.float64(out[j])
+    return total
+
+
 @njit(cache=True, parallel=True)
 def multiply(stencil, x, out):
     """out = A x; returns x^T A x by rows, (n,) float64."""
-    n, m = x.shape
-    dots = np.empty(n, np.float64)
-    for row in prange(n):
+    dots = np.empty(len(x), np.float64)
+    for row in prange(len(x)):
         i = np.int64(row)
-        out[i] = 0
-        defect_row(stencil, x, i, out[i])
-        total = 0.0
-        for j in range(m):
-            out[i, j] = -out[i, j]
-            total += np.float64(x[i, j]) * np.float64(out[i, j])
-        dots[i] = total
+        dots[i] = _product_row(stencil, x, i, out[i])
     return dots
 
 

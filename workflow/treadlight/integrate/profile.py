@@ -17,7 +17,7 @@ from treadlight.integrate.bias import (
 )
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
-from treadlight.integrate.edges import Edges, Photometry, build_edges, curl_scale, merge_views
+from treadlight.integrate.edges import Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import View, ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.sight import bridged_surface, seen_on
@@ -131,16 +131,70 @@ def integrate_capture(
     core : slice
         Rows whose cells and points count in the profile's figures.
     """
-    case = _prepare(views, sections, surface, grid, instead)
     counted = np.zeros(grid.shape[0], bool)
     counted[core] = True
-    proof, factor, first_r = _prove(case, held_out(len(sections.r), held_out_every), counted)
+    out = held_out(len(sections.r), held_out_every)
+    found = _found(_prepare(views, sections, surface, grid, instead), out, counted)
+    closed, photometry, inside = found.closed, found.photometry, found.closed.slots.mask
+    r = np.where(inside, found.top - closed.opening * found.depth, found.top)
+    std = np.where(inside, np.hypot(found.std, found.depth_std), found.std)
+    slope = _solved_slopes(found.top, found.uncut, grid)
+    seen = _near(found.steps | inside, grid) & _seen(closed, grid)
+    whole = np.where(seen, _blurred_slopes(r, grid), slope)
+    return Profile(
+        r=r,
+        r_std=np.where(np.isfinite(r), std, np.nan),
+        normal=_normals(np.where(np.isfinite(whole), whole, slope)),
+        material=photometry.material,
+        laser=_cells(found.laser, grid),
+        photometric=np.isfinite(photometry.slope[0]),
+        step=found.steps | (closed.reach & ~inside),
+        shadowed=photometry.flags[0] > 0.5,
+        saturated=photometry.flags[1] > 0.5,
+        held_out=found.proof,
+        laser_points=int(counted[found.laser.row].sum()),
+        normal_residual=_normal_residual(slope[:, core], photometry.slope[:, core]),
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the solves leave, of whose matrices nothing is needed any more; lengths mm.
+
+    Attributes
+    ----------
+    top, std : (n, m) float
+        Closed surface, NaN where nothing supports it.
+    depth, depth_std : (n, m) float
+        Of slots below it.
+    steps : (n, m) bool
+        Cells beside a cut edge.
+    uncut : (2, n, m) bool
+        Edges that hold their cells together.
+    """
+
+    top: np.ndarray
+    std: np.ndarray
+    depth: np.ndarray
+    depth_std: np.ndarray
+    steps: np.ndarray
+    uncut: np.ndarray
+    photometry: Photometry
+    closed: ClosedTread
+    laser: LaserCells
+    proof: HeldOut
+
+
+def _found(case: "_Case", out: np.ndarray, counted: np.ndarray) -> _Found:
+    """Heights from all sections, after a proof by those of a mask (s,) in `counted` rows (n,)."""
+    grid, closed, laser = case.grid, case.closed, case.laser
+    proof, factor, first_r = _prove(case, out, counted)
     case = case.upright(first_r)
-    solved = case.solve(case.laser.select(case.closed.on_tread))
+    solved = case.solve(laser.select(closed.on_tread))
     photometry, solution = solved.photometry, solved.solution
-    closed, laser = case.closed, case.laser
-    std = factor * solved.std(grid)
-    depth, depth_std = slot_depths(
+    std = (factor * solved.std(grid)).astype(np.float32)
+    known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
+    depth = slot_depths(
         closed.slots,
         closed.met,
         solution.r,
@@ -150,27 +204,16 @@ def integrate_capture(
         case.tread_depth,
         grid,
     )
-    inside = closed.slots.mask
-    known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
-    top = np.where(known, solution.r, np.nan)
-    r = np.where(inside, top - closed.opening * depth, top)
-    steps = _steps(solution, grid)
-    slope = _solved_slopes(top, solution, solved.problem.edges, grid)
-    seen = _near(steps | inside, grid) & _seen(closed, grid)
-    whole = np.where(seen, _blurred_slopes(r, grid), slope)
-    return Profile(
-        r=r,
-        r_std=np.where(np.isfinite(r), np.where(inside, np.hypot(std, depth_std), std), np.nan),
-        normal=_normals(np.where(np.isfinite(whole), whole, slope)),
-        material=photometry.material,
-        laser=_cells(laser, grid),
-        photometric=np.isfinite(photometry.slope[0]),
-        step=steps | (closed.reach & ~inside),
-        shadowed=photometry.flags[0] > 0.5,
-        saturated=photometry.flags[1] > 0.5,
-        held_out=proof,
-        laser_points=int(counted[laser.row].sum()),
-        normal_residual=_normal_residual(slope[:, core], photometry.slope[:, core]),
+    return _Found(
+        np.where(known, solution.r, np.nan),
+        std,
+        *depth,
+        _steps(solution, grid),
+        (solution.share >= _STEP_SHARE) & (solved.problem.edges.weight > 0),
+        photometry,
+        closed,
+        laser,
+        proof,
     )
 
 
@@ -441,35 +484,31 @@ def _seen(closed: ClosedTread, grid: CylinderGrid) -> np.ndarray:
 
 
 def _blurred_slopes(r: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """dr / (r dtheta) and dr / dz of a surface at a pixel's resolution, (2, n, m)."""
+    """dr / (r dtheta) and dr / dz of a surface at a pixel's resolution, (2, n, m) float32."""
     known = np.isfinite(r)
     level = float(r[known].mean()) if known.any() else 0.0
-    weight, total = (
-        ndimage.gaussian_filter(x, _PIXEL_SIGMA, mode=grid.filter_mode)
-        for x in (known.astype(float), np.where(known, r - level, 0))
+    weight, blurred = (
+        ndimage.gaussian_filter(x.astype(np.float32), _PIXEL_SIGMA, mode=grid.filter_mode)
+        for x in (known, np.where(known, r - level, 0))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        blurred = np.where(known, total / weight + level, np.nan)
+        blurred = np.where(known, blurred / weight, np.float32(np.nan))
     if grid.periodic:
         along = np.gradient(np.pad(blurred, ((1, 1), (0, 0)), mode="wrap"), axis=0)[1:-1]
     else:
         along = np.gradient(blurred, axis=0)
-    return np.stack(
-        [along / (grid.step_theta * blurred), np.gradient(blurred, grid.step_z, axis=1)]
-    )
+    along /= np.float32(grid.step_theta) * (blurred + np.float32(level))
+    return np.stack([along, np.gradient(blurred, np.float32(grid.step_z), axis=1)])
 
 
-def _solved_slopes(
-    r: np.ndarray, solution: Solution, edges: Edges, grid: CylinderGrid
-) -> np.ndarray:
-    """dr / (r dtheta) and dr / dz of the heights, (2, n, m), from the edges that are not cut."""
+def _solved_slopes(r: np.ndarray, uncut: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """dr / (r dtheta) and dr / dz of the heights, (2, n, m) float32, from the uncut edges."""
     slope = np.empty((2, *r.shape), np.float32)
     for k in range(2):
-        whole = (solution.share[k] >= _STEP_SHARE) & (edges.weight[k] > 0)
-        step = np.roll(r, -1, axis=k) - r
-        whole &= np.isfinite(step)
-        step = np.where(whole, step, 0)
-        count = whole.astype(float) + np.roll(whole, 1, axis=k)
+        step = (np.roll(r, -1, axis=k) - r).astype(np.float32)
+        whole = uncut[k] & np.isfinite(step)
+        step = np.where(whole, step, np.float32(0))
+        count = whole.astype(np.float32) + np.roll(whole, 1, axis=k)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope[k] = np.where(count > 0, (step + np.roll(step, 1, axis=k)) / count, np.nan)
     slope[0] /= grid.step_theta * r
@@ -478,13 +517,17 @@ def _solved_slopes(
 
 
 def _normals(slope: np.ndarray) -> np.ndarray:
-    length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
-    return np.stack([1 / length, -slope[0] / length, -slope[1] / length], axis=-1)
+    """Unit normals (n, m, 3) float32 of slopes (2, n, m)."""
+    normal = np.empty((*slope.shape[1:], 3), np.float32)
+    normal[..., 0] = 1 / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+    for k in range(2):
+        normal[..., k + 1] = -slope[k] * normal[..., 0]
+    return normal
 
 
 def _normal_residual(solved: np.ndarray, photometric: np.ndarray) -> tuple[float, float]:
     """Median and 95th percentile of the angle between two fields of slopes, rad."""
-    cosine = np.sum(_normals(solved) * _normals(photometric), axis=-1)
+    cosine = np.einsum("...k,...k", _normals(solved), _normals(photometric), dtype=np.float64)
     cosine = cosine[np.isfinite(cosine)]
     if not cosine.size:
         return np.nan, np.nan

@@ -17,4 +17,4 @@ class IntegrateSettings:
     """
 
     held_out_every: int = 10
-    sector_cells: int = 32_000_000
+    sector_cells: int = 16_000_000
