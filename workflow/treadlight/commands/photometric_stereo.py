@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from treadlight.commands import common
-from treadlight.spool import Memory, Spool
+from treadlight.spool import IN_MEMORY, Memory, Spool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -79,7 +79,9 @@ def run(args: argparse.Namespace) -> int:
             memory,
         )
         dataset = _with_light(dataset_of(found), view, warnings, memory)
-        store.write_store(out, dataset, title=title, source=capture.id)
+        store.write_store(
+            out, dataset, title=title, source=capture.id, threads=args.threads, memory=memory
+        )
 
     return common.run_stage(
         args,
@@ -107,7 +109,7 @@ def read_view(
     number: int,
     rig: "Rig",
     illumination: Path,
-    memory: Memory | Spool | None = None,
+    memory: Memory | Spool = IN_MEMORY,
     threads: int = 1,
 ) -> "tuple[View, list[str]]":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
@@ -150,7 +152,6 @@ def read_view(
     light = store.read_illumination(illumination, rig)
     index = {led.number: k for k, led in enumerate(light.leds)}
     wanted = [f for f in capture.view(number) if f.led in index]
-    memory = memory or Memory()
     frames, intensity, left_out = read_frames(capture, wanted, memory, threads)
     if len(frames) < MIN_LEDS:
         raise CaptureError(
@@ -231,10 +232,8 @@ def _with_light(
     from treadlight.images import doubts
 
     numbers = np.array([view.light.leds[k].number for k in view.leds])
-    patterns = []
-    for frame in view.intensity:
-        patterns.append(doubts.light_pattern(frame))
-        memory.release()
+    patterns = [doubts.light_pattern(frame) for frame in view.intensity]
+    memory.release()
     dims, text = ("led", "row", "column"), "logarithm of the light in blocks of the image"
     dataset = dataset.assign(
         {"light_pattern": store.variable(dims, np.stack(patterns), "1", text)}

@@ -25,9 +25,8 @@ from treadlight.photometric.observations import (
 )
 from treadlight.photometric.settings import PhotometrySettings
 from treadlight.photometric.sps import sps, typical_misfit
-from treadlight.spool import Memory, Spool
+from treadlight.spool import IN_MEMORY, Memory, Spool
 
-IN_MEMORY = Memory()
 # Pixels per chunk, about: keeps 16 LEDs' vectors and masks below 32 MiB a core.
 _CHUNK_PX = 1 << 16
 _SAMPLE_PX = 20_000
@@ -132,8 +131,10 @@ def solve_view(
     obstacles = _obstacles(patch)
     height, width = view.intensity.shape[1:]
     total = height * width
+    light = view.intensity.reshape(len(view.leds), total)
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
-    observed, _, _ = _observe(view, patch, obstacles, sample)
+    counts = _gather(light, sample, memory)
+    observed, _, _ = _observe(view, patch, obstacles, sample, counts)
     estimator = _estimator(observed, settings)
     maps = _empty_maps(total, memory)
 
@@ -141,7 +142,8 @@ def solve_view(
         # Each core has its own chunk, so that what is not compiled is shared among them too.
         set_num_threads(1)
         pixels = np.arange(chunk.start, chunk.stop)
-        observed, points, quality = _observe(view, patch, obstacles, pixels)
+        counts = light[:, chunk.start : chunk.stop]
+        observed, points, quality = _observe(view, patch, obstacles, pixels, counts)
         _place(maps, pixels, estimator(observed), points, quality, view.encoder)
         memory.release()
 
@@ -159,7 +161,17 @@ def solve_view(
 def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
     """All pixels of a view as `solve_view` gives them to its method, row by row."""
     patch = scene.cut_patch(grid, r, r_std, view.encoder, _seen_angles(view, r))
-    return _observe(view, patch, _obstacles(patch), np.arange(view.intensity[0].size))[0]
+    counts = view.intensity.reshape(len(view.leds), -1)
+    return _observe(view, patch, _obstacles(patch), np.arange(counts.shape[1]), counts)[0]
+
+
+def _gather(light: np.ndarray, pixels: np.ndarray, memory: Memory | Spool) -> np.ndarray:
+    """A few pixels of all LEDs, (n_leds, n): scattered ones take all pages of a frame."""
+    few = np.empty((len(light), len(pixels)), light.dtype)
+    for seen, frame in zip(few, light, strict=True):
+        seen[:] = frame[pixels]
+        memory.release()
+    return few
 
 
 def _estimator(
@@ -249,9 +261,15 @@ def _obstacles(patch: scene.SurfacePatch) -> scene.SurfacePatch:
 
 
 def _observe(
-    view: View, patch: scene.SurfacePatch, obstacles: scene.SurfacePatch, pixels: np.ndarray
+    view: View,
+    patch: scene.SurfacePatch,
+    obstacles: scene.SurfacePatch,
+    pixels: np.ndarray,
+    counts: np.ndarray,
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
-    """What the pixels saw, in the local basis (r, theta, z) of their scene points.
+    """What pixels saw, in the local basis (r, theta, z) of their scene points.
+
+    `counts` (n_leds, n) are the view's intensities there.
 
     Returns
     -------
@@ -280,8 +298,7 @@ def _observe(
     )
     quality = np.empty(shape[1], np.uint8)
     view_kernels.observe(
-        points, view.intensity.reshape(len(leds), -1), pixels, irradiance,
-        view.noise, lit, leds, origin,
+        points, counts, irradiance, view.noise, lit, leds, origin,
         seen.intensity, seen.noise, seen.lights, seen.views, seen.usable, quality,
     )  # fmt: skip
     return seen, points, quality

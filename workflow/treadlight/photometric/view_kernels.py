@@ -15,7 +15,7 @@ _RUN = 512
 
 @njit(cache=True, parallel=True, nogil=True, error_model="numpy")
 def observe(
-    points, counts, pixels, irradiance, dark, lit, leds, camera,
+    points, counts, irradiance, dark, lit, leds, camera,
     intensity, noise, lights, views, usable, quality,
 ):  # fmt: skip
     """Observations of pixels, in the local bases (r, theta, z) of their scene points.
@@ -24,9 +24,8 @@ def observe(
     ----------
     points : (n, 3) float64
         phi, z, r in {V}; NaN outside the surface.
-    counts : (n_leds, h w) float32
-        `View.intensity`, pixel after pixel.
-    pixels : (n,) int64
+    counts : (n_leds, n) float32
+        `View.intensity` there.
     irradiance : (n_leds, n) float64
     dark : (n_leds,) float64
         `View.noise`.
@@ -38,7 +37,7 @@ def observe(
     quality : (n,) uint8
         outside, shadowed, saturated; written here.
     """
-    n = len(pixels)
+    n = len(points)
     for run in prange((n + _RUN - 1) // _RUN):
         first = run * _RUN
         last = min(n, first + _RUN)
@@ -57,7 +56,7 @@ def observe(
                 lights[m, k, 0], lights[m, k, 1], lights[m, k, 2] = x, y, z
                 # Behind an LED there is no light to divide by.
                 per_light = 1.0 / irradiance[m, k]
-                count = counts[m, pixels[k]]
+                count = counts[m, k]
                 light = count * per_light
                 intensity[m, k], noise[m, k] = light, dark[m] * per_light
                 usable[m, k] = lit[m, k] and math.isfinite(light)
