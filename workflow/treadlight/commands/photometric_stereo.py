@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         common.say(
             f"{capture.id}: view {place} of {len(capture.views)}, {len(view.leds)} images read"
         )
-        part = surface[["r", "r_std"]].isel(theta=rows).load()
+        part = _rows_of(surface[["r", "r_std"]], rows)
         found = solve_view(
             view,
             part_of(grid, rows),
@@ -91,6 +91,20 @@ def run(args: argparse.Namespace) -> int:
         source=capture.id,
         work=work,
     )
+
+
+def _rows_of(surface: "xr.Dataset", rows: "np.ndarray") -> "xr.Dataset":
+    """Neighbouring rows, loaded, which may run past the last one to the first.
+
+    zarr would be slow to pick them one by one.
+    """
+    import xarray as xr
+
+    seam = int((rows[1:] < rows[:-1]).argmax()) + 1 if rows[-1] < rows[0] else len(rows)
+    parts = [rows[:seam], rows[seam:]]
+    spans = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
+    loaded = [surface.isel(theta=span).load() for span in spans]
+    return loaded[0] if len(loaded) == 1 else xr.concat(loaded, "theta")
 
 
 def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
@@ -159,9 +173,14 @@ def read_view(
             f" Specular photometric stereo needs {MIN_LEDS}; add frames or calibrate more LEDs."
             + "".join(f" {sentence}" for sentence in left_out.values())
         )
+
+    def noise_of(frame: np.ndarray) -> float:
+        found = dark_noise(frame)
+        memory.release()
+        return found
+
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        noise = np.array([*pool.map(dark_noise, intensity)])
-    memory.release()
+        noise = np.array([*pool.map(noise_of, intensity)])
     view = View(
         intensity=intensity,
         noise=noise,
@@ -232,8 +251,10 @@ def _with_light(
     from treadlight.images import doubts
 
     numbers = np.array([view.light.leds[k].number for k in view.leds])
-    patterns = [doubts.light_pattern(frame) for frame in view.intensity]
-    memory.release()
+    patterns = []
+    for frame in view.intensity:
+        patterns.append(doubts.light_pattern(frame))
+        memory.release()
     dims, text = ("led", "row", "column"), "logarithm of the light in blocks of the image"
     dataset = dataset.assign(
         {"light_pattern": store.variable(dims, np.stack(patterns), "1", text)}
