@@ -1,8 +1,7 @@
 """Maximum a posteriori fit of the full reflection model, many pixels side by side, compiled.
 
 A block of pixels (`map_lanes`) needs some 100 KiB. A pixel takes some 20 evaluations of the model
-(`map_model`), and as long as eight of them to find its starts (`map_starts`); where the block
-before it shows where to start, it takes ten.
+(`map_model`), and as long as eight of them to find its starts (`map_starts`).
 """
 
 import math
@@ -61,8 +60,6 @@ _RUN = 16 * LANES
 _FIRST_STEPS, _STEPS = 3, 8
 # Least misfit that the starts are given: the robust cost is flat where residuals are far beyond it.
 _FIRST_MISFIT2 = np.float32(0.02**2)
-# Cost per LED, at most, of a pixel that needs no other start: no wrong lobe explains so much.
-_EXPLAINED = np.float32(1.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -118,20 +115,6 @@ def _start(state, start, material):
         state[ALPHA + k], state[RATIO + k] = alpha, ratio
 
 
-@njit(cache=True, error_model="numpy")
-def _is_explained(leds, eq, count):
-    """Whether the first `count` lanes' residuals are what the misfit and noise make them."""
-    used = np.zeros(LANES, np.float32)
-    for m in range(len(leds) // LED):
-        sharp = leds[m * LED + SHARP :]
-        for k in range(LANES):
-            used[k] += ONE if sharp[k] > 0 else ZERO
-    explained = 0
-    for k in range(count):
-        explained += eq[COST + k] <= _EXPLAINED * used[k]
-    return explained == count
-
-
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def fit_pixels(intensity, lights, views, usable, noise, base, material, misfit2, out):
     """The most probable normal and material of every pixel.
@@ -157,16 +140,11 @@ def fit_pixels(intensity, lights, views, usable, noise, base, material, misfit2,
 
 @njit(cache=True, error_model="numpy")
 def _fit_run(intensity, lights, views, usable, noise, base, material, misfit2, begin, end, out):
-    """Blocks of pixels one after the other.
-
-    Where a block is explained, the next one starts where it ended: neighbours are much alike, and
-    it ends where many directions would have led it, unless it is not explained from there.
-    """
+    """Blocks of pixels one after the other."""
     n_leds = intensity.shape[0]
     leds = np.empty(n_leds * LED, np.float32)
     state, best = np.zeros(STATE, np.float32), np.zeros(STATE, np.float32)
-    trial, before = np.zeros(STATE, np.float32), np.zeros(STATE, np.float32)
-    follows = False
+    trial = np.zeros(STATE, np.float32)
     t, work = np.zeros(TANGENTS, np.float32), np.zeros(WORK, np.float32)
     eq, eq_trial = np.zeros(EQUATIONS, np.float32), np.zeros(EQUATIONS, np.float32)
     step = np.zeros(STEP, np.float32)
@@ -179,26 +157,19 @@ def _fit_run(intensity, lights, views, usable, noise, base, material, misfit2, b
         level2 = max(misfit2, _FIRST_MISFIT2)
         _gather(intensity, noise, usable, lights, views, first, count, leds)
         _sharpen(leds, level2, brightest)
-        if follows:
-            best[:] = before
-            descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
-            follows = _is_explained(leds, eq, count)
-        if not follows:
-            choose_starts(leds, lights, views, first, count, base, material, starts, desk)
-            least[:] = np.float32(np.inf)
-            # A pixel that no start explains has no normal.
-            best[:] = ZERO
-            for s in range(STARTS):
-                _start(state, starts[s], material)
-                descend(leds, state, t, work, material, step, trial, eq, eq_trial, _FIRST_STEPS)
-                better = step[BETTER : BETTER + LANES]
-                for k in range(LANES):
-                    better[k] = ONE if eq[COST + k] < least[k] else ZERO
-                choose(better, state, best)
-                choose(better, eq[COST : COST + LANES], least)
-            descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
-            follows = _is_explained(leds, eq, count)
-        before[:] = best
+        choose_starts(leds, lights, views, first, count, base, material, starts, desk)
+        least[:] = np.float32(np.inf)
+        # A pixel that no start explains has no normal.
+        best[:] = ZERO
+        for s in range(STARTS):
+            _start(state, starts[s], material)
+            descend(leds, state, t, work, material, step, trial, eq, eq_trial, _FIRST_STEPS)
+            better = step[BETTER : BETTER + LANES]
+            for k in range(LANES):
+                better[k] = ONE if eq[COST + k] < least[k] else ZERO
+            choose(better, state, best)
+            choose(better, eq[COST : COST + LANES], least)
+        descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
         if level2 > misfit2:
             _sharpen(leds, misfit2, brightest)
             descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
