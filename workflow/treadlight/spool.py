@@ -52,3 +52,6 @@ class Memory:
 
     def release(self) -> None:
         pass
+
+
+IN_MEMORY = Memory()

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from treadlight.geometry import CylinderGrid
 from treadlight.photometric.scene import SurfacePatch, cast, coarsen, cut_patch, lit
@@ -44,6 +46,96 @@ def test_rays_meet_a_wavy_surface_where_they_should(rng):
     found = cast(patch, camera, target - camera)
     np.testing.assert_allclose(found[:, 2], r[i, j], atol=2e-3)
     np.testing.assert_allclose(found[:, 1], z[j], atol=2e-3)
+
+
+def blocky(seed, hole, size=150, step=0.25):
+    """A patch of blocks and noise, with a hole."""
+    rng = np.random.default_rng(seed)
+    blocks = rng.uniform(-8, 0, (size // 10, size // 10)) * (rng.random((size // 10, 1)) < 0.5)
+    blocks[size // 20] = rng.uniform(-8, 0, size // 10)
+    r = RADIUS + np.kron(blocks, np.ones((10, 10))) + 0.05 * rng.standard_normal((size, size))
+    r[hole : hole + 12, hole : hole + 7] = np.nan
+    return patch_of(r, step, r_std=0.05), rng
+
+
+def height_at(patch, field, phi, z):
+    """Bilinear, NaN beside what is unknown."""
+    row, column = (phi - patch.phi_0) / patch.step_phi, (z - patch.z_0) / patch.step_z
+    inside = (row >= 0) & (column >= 0) & (row < len(field) - 1) & (column < field.shape[1] - 1)
+    i, j = (np.where(inside, k, 0).astype(int) for k in (row, column))
+    a, b = row - i, column - j
+    top = field[i, j] + b * (field[i, j + 1] - field[i, j])
+    bottom = field[i + 1, j] + b * (field[i + 1, j + 1] - field[i + 1, j])
+    return np.where(inside, top + a * (bottom - top), np.nan)
+
+
+def walk(patch, camera, ray):
+    """Distances (in ray lengths) before and at the first step at or below the surface.
+
+    Half a cell at a time from the largest radius on; None if there is none, or if it is not known
+    what was before it.
+    """
+    a, b = ray[:2] @ ray[:2], ray[:2] @ camera[:2]
+    roots = [
+        np.sqrt(max(b * b - a * (camera[:2] @ camera[:2] - radius**2), 0))
+        for radius in (patch.r_max, patch.r_min)
+    ]
+    enter, end = ((-b - root) / a for root in roots)
+    entry = camera + enter * ray
+    phi = math.atan2(entry[1], entry[0])
+    outward, along = np.array([np.cos(phi), np.sin(phi)]), np.array([-np.sin(phi), np.cos(phi)])
+    tangential = ray[:2] @ along
+    steps = 4 + int(2 * (end - enter) * math.hypot(tangential, ray[2]) / patch.step_mm)
+    t = enter + (end - enter) * np.arange(steps + 1) / steps
+    at = camera + t[:, None] * ray
+    turned = phi + np.arctan2(at[:, :2] @ along, at[:, :2] @ outward)
+    gap = np.hypot(at[:, 0], at[:, 1]) - height_at(patch, patch.r, turned, at[:, 2])
+    below = np.flatnonzero(gap <= 0)
+    if not len(below) or (below[0] and np.isnan(gap[below[0] - 1])):
+        return None
+    return t[max(below[0] - 1, 0)], t[below[0]]
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), hole=st.integers(0, 138))
+def test_a_ray_finds_what_a_plain_walk_finds(seed, hole):
+    """Over grooves, holes and borders it leaves out no step that meets something."""
+    patch, rng = blocky(seed, hole)
+    camera = np.array([300.0, *rng.uniform(-120, 120, 2)])
+    phi, z = rng.uniform(-0.25, 0.25, 200), rng.uniform(-25, 25, 200)
+    rays = np.column_stack([95 * np.cos(phi), 95 * np.sin(phi), z]) - camera
+    hits = 0
+    for ray, hit in zip(rays, cast(patch, camera, rays), strict=True):
+        steps = walk(patch, camera, ray)
+        assert np.isnan(hit).all() == (steps is None)
+        if steps is not None:
+            place = np.array([hit[2] * np.cos(hit[0]), hit[2] * np.sin(hit[0]), hit[1]])
+            t = (place - camera) @ ray / (ray @ ray)
+            assert steps[0] - 1e-9 <= t <= steps[1] + 1e-9
+            np.testing.assert_allclose(camera + t * ray, place, atol=1e-6)
+            hits += 1
+    assert hits > 20
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), hole=st.integers(0, 138))
+def test_points_are_lit_alone_as_they_are_among_their_neighbours(seed, hole):
+    """What is found out for a tile of pixels together holds of each: bit for bit."""
+    patch, rng = blocky(seed, hole)
+    width = int(rng.integers(20, 90))
+    v, u = np.mgrid[:40, :width]
+    phi = (v - 20) * 0.4 / RADIUS + 0.001 * rng.standard_normal(v.shape)
+    z = (u - width / 2) * 0.3
+    r = height_at(patch, patch.r, phi, z)
+    points = np.stack([phi, z, r], axis=-1).reshape(-1, 3)
+    leds = rng.uniform([150, -300, -300], [500, 300, 300], (6, 3))
+    # Light so low that the blocks throw shadows, whatever the others do.
+    leds[0] = [RADIUS + 20, 0, 300]
+    together = lit(patch, points, leds, width)
+    alone = np.stack([lit(patch, point[None], leds)[:, 0] for point in points], axis=1)
+    np.testing.assert_array_equal(together, alone)
+    assert together.any()
+    assert not together[0].all()
 
 
 def test_a_ray_beside_the_surface_or_through_a_hole_finds_nothing():

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from treadlight.commands import common
-from treadlight.spool import Memory, Spool
+from treadlight.spool import IN_MEMORY, Memory, Spool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         common.say(
             f"{capture.id}: view {place} of {len(capture.views)}, {len(view.leds)} images read"
         )
-        part = surface[["r", "r_std"]].isel(theta=rows).load()
+        part = _rows_of(surface[["r", "r_std"]], rows)
         found = solve_view(
             view,
             part_of(grid, rows),
@@ -79,7 +79,9 @@ def run(args: argparse.Namespace) -> int:
             memory,
         )
         dataset = _with_light(dataset_of(found), view, warnings, memory)
-        store.write_store(out, dataset, title=title, source=capture.id)
+        store.write_store(
+            out, dataset, title=title, source=capture.id, threads=args.threads, memory=memory
+        )
 
     return common.run_stage(
         args,
@@ -89,6 +91,20 @@ def run(args: argparse.Namespace) -> int:
         source=capture.id,
         work=work,
     )
+
+
+def _rows_of(surface: "xr.Dataset", rows: "np.ndarray") -> "xr.Dataset":
+    """Neighbouring rows, loaded, which may run past the last one to the first.
+
+    zarr would be slow to pick them one by one.
+    """
+    import xarray as xr
+
+    seam = int((rows[1:] < rows[:-1]).argmax()) + 1 if rows[-1] < rows[0] else len(rows)
+    parts = [rows[:seam], rows[seam:]]
+    spans = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
+    loaded = [surface.isel(theta=span).load() for span in spans]
+    return loaded[0] if len(loaded) == 1 else xr.concat(loaded, "theta")
 
 
 def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
@@ -107,7 +123,7 @@ def read_view(
     number: int,
     rig: "Rig",
     illumination: Path,
-    memory: Memory | Spool | None = None,
+    memory: Memory | Spool = IN_MEMORY,
     threads: int = 1,
 ) -> "tuple[View, list[str]]":
     """The frames of a view whose LEDs are calibrated, as light, with the rig that took them.
@@ -150,7 +166,6 @@ def read_view(
     light = store.read_illumination(illumination, rig)
     index = {led.number: k for k, led in enumerate(light.leds)}
     wanted = [f for f in capture.view(number) if f.led in index]
-    memory = memory or Memory()
     frames, intensity, left_out = read_frames(capture, wanted, memory, threads)
     if len(frames) < MIN_LEDS:
         raise CaptureError(
@@ -158,9 +173,14 @@ def read_view(
             f" Specular photometric stereo needs {MIN_LEDS}; add frames or calibrate more LEDs."
             + "".join(f" {sentence}" for sentence in left_out.values())
         )
+
+    def noise_of(frame: np.ndarray) -> float:
+        found = dark_noise(frame)
+        memory.release()
+        return found
+
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        noise = np.array([*pool.map(dark_noise, intensity)])
-    memory.release()
+        noise = np.array([*pool.map(noise_of, intensity)])
     view = View(
         intensity=intensity,
         noise=noise,

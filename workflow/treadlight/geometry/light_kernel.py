@@ -4,7 +4,7 @@ import numba
 import numpy as np
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
 def irradiance(points, position, normal, height, intrinsics, distortion, table, step, lens, out):
     """Irradiance at points (n, 3), into out (n,); each point on its own, so order is free.
 

@@ -236,7 +236,7 @@ def _lobes(v, state, refined):
     return lobes
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, nogil=True)
 def fit_pixels(
     intensity, lights, views, usable, noise,
     algorithm, refinements, converged_rad, misfit2, prior_weight, out,

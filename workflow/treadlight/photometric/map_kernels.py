@@ -115,7 +115,7 @@ def _start(state, start, material):
         state[ALPHA + k], state[RATIO + k] = alpha, ratio
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def fit_pixels(intensity, lights, views, usable, noise, base, material, misfit2, out):
     """The most probable normal and material of every pixel.
 

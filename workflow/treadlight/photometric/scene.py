@@ -2,7 +2,8 @@
 
 The surface is a height field r(theta, z), so rays are marched through it directly: that needs
 no mesh and no tree, keeps its memory to the grid itself, and gives the same bits on any number
-of cores.
+of cores. Coarse grids of the highest surface in a block of cells tell which of their steps cannot
+meet anything: those are skipped, and nothing else changes.
 
 Everything here happens in {V}, the tire frame {T} held still at one encoder angle: x from the
 axis to the camera centre, z along the axis, and phi = theta + encoder.
@@ -10,18 +11,18 @@ axis to the camera centre, z along the axis, and phi = theta + encoder.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
 
 from treadlight.geometry import CylinderGrid
+from treadlight.photometric import ray_kernels, shadow_kernels
 
 # A ray that leaves the surface flatter than this (72 degrees off its normal) is not looked for
 # beyond the seen sector: the patch reaches this many height ranges past it.
 _REACH = 3.0
-_MAX_STEPS = 4096
-_BISECTIONS = 24
-_BLOCK = 512
+# Cells along a side of the blocks whose highest and lowest values are kept.
+_NEAR, _FAR = ray_kernels.BLOCKS
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,12 @@ class SurfacePatch:
     r: np.ndarray
     r_std: np.ndarray
 
-    @property
+    @cached_property
     def r_max(self) -> float:
-        """mm; NaN if the patch holds no surface."""
+        """mm; -inf if the patch holds no surface."""
         return float(np.nanmax(self.r, initial=-np.inf))
 
-    @property
+    @cached_property
     def r_min(self) -> float:
         return float(np.nanmin(self.r, initial=np.inf))
 
@@ -60,6 +61,48 @@ class SurfacePatch:
     def step_mm(self) -> float:
         """The finer of the two grid steps, mm."""
         return min(self.step_phi * self.r_max, self.step_z)
+
+    @cached_property
+    def tops(self) -> tuple[np.ndarray, np.ndarray]:
+        """Highest `r` within blocks of cells (`ray_kernels.BLOCKS`) and those around each."""
+        near = block_tops(self.r, _NEAR)
+        far = block_tops(self.r, _FAR)
+        return _with_neighbours(near), _with_neighbours(far)
+
+    @cached_property
+    def obstacles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Highest `r` and least `r_std` within blocks of `shadow_kernels.BLOCK` cells."""
+        size = shadow_kernels.BLOCK
+        return block_tops(self.r, size), -block_tops(-self.r_std, size)
+
+    @cached_property
+    def crests(self) -> np.ndarray:
+        """Highest surface at a column or beyond it, towards -z (row 0) and +z (row 1)."""
+        crest = np.fmax.reduce(self.r, axis=0, initial=-np.inf)
+        return np.stack([np.maximum.accumulate(crest), np.maximum.accumulate(crest[::-1])[::-1]])
+
+
+def block_tops(field: np.ndarray, size: int) -> np.ndarray:
+    """Highest values within blocks of `size` x `size` cells and the next row and column.
+
+    So that what is interpolated within a block is never above. -inf where nothing is known.
+    """
+    rows, columns = (-(-n // size) for n in field.shape)
+    padded = np.full((rows * size + 1, columns * size + 1), -np.inf, np.float32)
+    padded[: field.shape[0], : field.shape[1]] = field
+    np.copyto(padded, -np.inf, where=np.isnan(padded))
+    down = np.maximum.reduce([padded[k : len(padded) - size + k : size] for k in range(size + 1)])
+    return np.maximum.reduce(
+        [down[:, k : down.shape[1] - size + k : size] for k in range(size + 1)]
+    )
+
+
+def _with_neighbours(tops: np.ndarray) -> np.ndarray:
+    padded = np.pad(tops, 1, constant_values=-np.inf)
+    rows, columns = tops.shape
+    return np.maximum.reduce(
+        [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
+    )
 
 
 def cut_patch(
@@ -147,9 +190,9 @@ def cast(patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray) -> np.
         is below it when it leaves a hole, so that it met something unknown before.
     """
     found = np.full((len(directions), 3), np.nan)
-    if np.isfinite(patch.r).any():
-        _cast(
-            patch.r, patch.phi_0, patch.step_phi, patch.z_0, patch.step_z,
+    if patch.r_max > 0.0:
+        ray_kernels.cast(
+            patch.r, patch.tops, patch.phi_0, patch.step_phi, patch.z_0, patch.step_z,
             patch.r_min, patch.r_max, patch.step_mm,
             np.ascontiguousarray(origin, np.float64),
             np.ascontiguousarray(directions, np.float64), found,
@@ -157,7 +200,9 @@ def cast(patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray) -> np.
     return found
 
 
-def lit(patch: SurfacePatch, points: np.ndarray, leds: np.ndarray) -> np.ndarray:
+def lit(
+    patch: SurfacePatch, points: np.ndarray, leds: np.ndarray, width: int | None = None
+) -> np.ndarray:
     """Whether LEDs reach points, or a part of the surface stands between.
 
     A ray is blocked where it runs below the surface by more than `lift`: two standard
@@ -171,166 +216,20 @@ def lit(patch: SurfacePatch, points: np.ndarray, leds: np.ndarray) -> np.ndarray
         phi (rad), z (mm), r (mm); NaN rows come out unlit.
     leds : (n_leds, 3) float64
         Positions in {V}, mm.
+    width : int, optional
+        The points are those of an image's pixels, row by row, with so many in a row: where
+        neighbours are all lit is then found out for them together.
 
     Returns
     -------
     (n_leds, n) bool
     """
     out = np.zeros((len(leds), len(points)), np.bool_)
-    if np.isfinite(patch.r).any():
-        crest = np.fmax.reduce(patch.r, axis=0, initial=-np.inf)
-        # Highest surface at a column or beyond it, towards -z (row 0) and +z (row 1).
-        crests = np.stack([np.maximum.accumulate(crest), np.maximum.accumulate(crest[::-1])[::-1]])
-        _lit(
-            patch.r, patch.r_std, crests, patch.phi_0, patch.step_phi, patch.z_0, patch.step_z,
-            patch.r_max, patch.step_mm,
-            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(leds, np.float64), out,
+    if patch.r_max > 0.0:
+        shadow_kernels.lit(
+            patch.r, patch.r_std, patch.obstacles, patch.crests,
+            patch.phi_0, patch.step_phi, patch.z_0, patch.step_z, patch.r_max, patch.step_mm,
+            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(leds, np.float64),
+            len(points) if width is None else width, out,
         )  # fmt: skip
     return out
-
-
-@njit(cache=True, inline="always")
-def _sample(field, row, column):
-    """Bilinear; NaN outside and beside NaN."""
-    if not (row >= 0.0 and column >= 0.0):
-        return np.nan
-    i, j = int(row), int(column)
-    if i > field.shape[0] - 2 or j > field.shape[1] - 2:
-        return np.nan
-    a, b = row - i, column - j
-    top = field[i, j] + b * (field[i, j + 1] - field[i, j])
-    bottom = field[i + 1, j] + b * (field[i + 1, j + 1] - field[i + 1, j])
-    return top + a * (bottom - top)
-
-
-@njit(cache=True, inline="always")
-def _atan(q):
-    """Arc tangent to 1e-5 for |q| < 0.4: rays turn little about the axis near the surface."""
-    p = q * q
-    return q * (1.0 - p * (1 / 3 - p * (1 / 5 - p * (1 / 7 - p / 9))))
-
-
-@njit(cache=True)
-def _crossings(x, y, dx, dy, radius):
-    """Both ray parameters at which |(x, y) + t (dx, dy)| = radius; NaN if never."""
-    a = dx * dx + dy * dy
-    b = x * dx + y * dy
-    disc = b * b - a * (x * x + y * y - radius * radius)
-    if not (a > 0.0 and disc >= 0.0):
-        return np.nan, np.nan
-    root = math.sqrt(disc)
-    return (-b - root) / a, (-b + root) / a
-
-
-@njit(cache=True, parallel=True)
-def _cast(r, phi_0, step_phi, z_0, step_z, r_min, r_max, cell, origin, directions, found):
-    x0, y0, zc = origin
-    n = len(directions)
-    for block in prange((n + _BLOCK - 1) // _BLOCK):
-        for k in range(block * _BLOCK, min(n, (block + 1) * _BLOCK)):
-            dx, dy, dz = directions[k]
-            enter, leave = _crossings(x0, y0, dx, dy, r_max)
-            if not enter > 0.0:
-                continue
-            bottom, _ = _crossings(x0, y0, dx, dy, r_min)
-            end = 0.5 * (enter + leave) if math.isnan(bottom) else bottom
-            # The local frame at the entry keeps angles small.
-            ex, ey, z = x0 + enter * dx, y0 + enter * dy, zc + enter * dz
-            phi = math.atan2(ey, ex)
-            c, s = ex / r_max, ey / r_max
-            radial, tangential = c * dx + s * dy, c * dy - s * dx
-            span = end - enter
-            lateral = span * math.sqrt(tangential * tangential + dz * dz)
-            steps = min(_MAX_STEPS, 4 + int(2.0 * lateral / cell))
-            low, before = 0.0, 0.0
-            for i in range(steps + 1):
-                t = span * i / steps
-                gap = _gap(
-                    r, phi_0, step_phi, z_0, step_z, r_max, phi, z, radial, tangential, dz, t
-                )
-                if gap <= 0.0:
-                    if i == 0:
-                        low, high = 0.0, 0.0
-                    elif not math.isnan(before):
-                        high = t
-                    else:
-                        break
-                    for _ in range(_BISECTIONS):
-                        middle = 0.5 * (low + high)
-                        gap = _gap(
-                            r, phi_0, step_phi, z_0, step_z, r_max, phi, z,
-                            radial, tangential, dz, middle,
-                        )  # fmt: skip
-                        if gap > 0.0:
-                            low = middle
-                        else:
-                            high = middle
-                    t = 0.5 * (low + high)
-                    x, y = r_max + t * radial, t * tangential
-                    found[k, 0] = phi + math.atan2(y, x)
-                    found[k, 1] = z + t * dz
-                    found[k, 2] = math.hypot(x, y)
-                    break
-                low, before = t, gap
-
-
-@njit(cache=True, inline="always")
-def _gap(r, phi_0, step_phi, z_0, step_z, start, phi, z, radial, tangential, dz, t):
-    """Height of a ray's point over the surface below it, mm."""
-    x, y = start + t * radial, t * tangential
-    row = (phi + _atan(y / x) - phi_0) / step_phi
-    column = (z + t * dz - z_0) / step_z
-    return math.sqrt(x * x + y * y) - _sample(r, row, column)
-
-
-@njit(cache=True, parallel=True)
-def _lit(r, r_std, crests, phi_0, step_phi, z_0, step_z, r_max, cell, points, leds, out):
-    n = len(points)
-    for block in prange((n + _BLOCK - 1) // _BLOCK):
-        for k in range(block * _BLOCK, min(n, (block + 1) * _BLOCK)):
-            phi, z, height = points[k]
-            if not height > 0.0:
-                continue
-            c, s = math.cos(phi), math.sin(phi)
-            std = _sample(r_std, (phi - phi_0) / step_phi, (z - z_0) / step_z)
-            var = 0.0 if math.isnan(std) else std * std
-            for m in range(len(leds)):
-                radial = c * leds[m, 0] + s * leds[m, 1] - height
-                tangential = c * leds[m, 1] - s * leds[m, 0]
-                dz = leds[m, 2] - z
-                out[m, k] = not _blocked(
-                    r, r_std, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
-                    phi, z, height, radial, tangential, dz, var,
-                )  # fmt: skip
-
-
-@njit(cache=True)
-def _blocked(
-    r, r_std, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
-    phi, z, height, radial, tangential, dz, var,
-):  # fmt: skip
-    """Whether the surface hides the light at (radial, tangential, dz) from a point."""
-    _, leave = _crossings(height, 0.0, radial, tangential, max(r_max, height))
-    if math.isnan(leave):
-        return False
-    span = min(leave, 1.0)
-    lateral = span * math.sqrt(tangential * tangential + dz * dz)
-    steps = min(_MAX_STEPS, 1 + int(lateral / cell))
-    ahead = crests[1] if dz > 0 else crests[0]
-    for i in range(1, steps + 1):
-        t = span * i / steps
-        x, y = height + t * radial, t * tangential
-        column = (z + t * dz - z_0) / step_z
-        level = math.sqrt(x * x + y * y)
-        # A rising ray that is above all that lies ahead meets nothing any more.
-        nearest = min(max(int(column) + (dz <= 0), 0), len(ahead) - 1)
-        if radial > 0.0 and level > ahead[nearest]:
-            return False
-        row = (phi + _atan(y / x) - phi_0) / step_phi
-        depth = _sample(r, row, column) - level
-        # The square root of the variances only where half a step alone is exceeded.
-        if depth > 0.5 * cell:
-            std = r_std[int(row), int(column)]
-            if depth > 0.5 * cell + 2.0 * math.sqrt(var + std * std):
-                return True
-    return False

@@ -1,33 +1,33 @@
 """Normals of one field of view: scene points, shadows, light, and specular photometric stereo."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
 import numpy as np
+from numba import get_num_threads, set_num_threads
 
 from treadlight.geometry import Axis, Camera, CylinderGrid, Led
 from treadlight.geometry.axis import wrap_angle
-from treadlight.photometric import scene
+from treadlight.photometric import scene, view_kernels
 from treadlight.photometric.closure import covariance_scale
 from treadlight.photometric.map import map_normals
 from treadlight.photometric.material import learn_material
 from treadlight.photometric.observations import (
     OUTSIDE,
     POOR_FIT,
-    SATURATED,
-    SHADOWED,
     Estimate,
     Observations,
 )
 from treadlight.photometric.settings import PhotometrySettings
 from treadlight.photometric.sps import sps, typical_misfit
-from treadlight.spool import Memory, Spool
+from treadlight.spool import IN_MEMORY, Memory, Spool
 
-IN_MEMORY = Memory()
-# Pixels per chunk: keeps 16 LEDs' vectors and masks below 32 MiB.
+# Pixels per chunk, about: keeps 16 LEDs' vectors and masks below 32 MiB a core.
 _CHUNK_PX = 1 << 16
 _SAMPLE_PX = 20_000
 _MAD_TO_STD = 1.4826
@@ -131,14 +131,24 @@ def solve_view(
     obstacles = _obstacles(patch)
     height, width = view.intensity.shape[1:]
     total = height * width
+    light = view.intensity.reshape(len(view.leds), total)
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
-    observed, _, _ = _observe(view, patch, obstacles, sample)
+    counts = _gather(light, sample, memory)
+    observed, _, _ = _observe(view, patch, obstacles, sample, counts)
     estimator = _estimator(observed, settings)
     maps = _empty_maps(total, memory)
-    for pixels in _chunks(total):
-        observed, points, quality = _observe(view, patch, obstacles, pixels)
+
+    def solve(chunk: range) -> None:
+        # Each core has its own chunk, so that what is not compiled is shared among them too.
+        set_num_threads(1)
+        pixels = np.arange(chunk.start, chunk.stop)
+        counts = light[:, chunk.start : chunk.stop]
+        observed, points, quality = _observe(view, patch, obstacles, pixels, counts)
         _place(maps, pixels, estimator(observed), points, quality, view.encoder)
         memory.release()
+
+    with ThreadPoolExecutor(get_num_threads()) as pool:
+        deque(pool.map(solve, _chunks(width, height)), maxlen=0)
     poor = _is_poor(maps.residual)
     maps.quality[poor] |= POOR_FIT
     found = _reshaped(maps, height, width)
@@ -151,7 +161,17 @@ def solve_view(
 def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
     """All pixels of a view as `solve_view` gives them to its method, row by row."""
     patch = scene.cut_patch(grid, r, r_std, view.encoder, _seen_angles(view, r))
-    return _observe(view, patch, _obstacles(patch), np.arange(view.intensity[0].size))[0]
+    counts = view.intensity.reshape(len(view.leds), -1)
+    return _observe(view, patch, _obstacles(patch), np.arange(counts.shape[1]), counts)[0]
+
+
+def _gather(light: np.ndarray, pixels: np.ndarray, memory: Memory | Spool) -> np.ndarray:
+    """A few pixels of all LEDs, (n_leds, n): scattered ones take all pages of a frame."""
+    few = np.empty((len(light), len(pixels)), light.dtype)
+    for seen, frame in zip(few, light, strict=True):
+        seen[:] = frame[pixels]
+        memory.release()
+    return few
 
 
 def _estimator(
@@ -165,9 +185,11 @@ def _estimator(
     return partial(sps, max_refinements=refinements, misfit=misfit)
 
 
-def _chunks(total: int) -> Iterator[np.ndarray]:
-    for start in range(0, total, _CHUNK_PX):
-        yield np.arange(start, min(total, start + _CHUNK_PX))
+def _chunks(width: int, height: int) -> Iterator[range]:
+    """Pixels of whole rows: neighbours are found to be lit together."""
+    total, size = width * height, width * max(1, _CHUNK_PX // width)
+    for start in range(0, total, size):
+        yield range(start, min(total, start + size))
 
 
 def _in_view_frame(axis: Axis, points: np.ndarray) -> np.ndarray:
@@ -239,9 +261,15 @@ def _obstacles(patch: scene.SurfacePatch) -> scene.SurfacePatch:
 
 
 def _observe(
-    view: View, patch: scene.SurfacePatch, obstacles: scene.SurfacePatch, pixels: np.ndarray
+    view: View,
+    patch: scene.SurfacePatch,
+    obstacles: scene.SurfacePatch,
+    pixels: np.ndarray,
+    counts: np.ndarray,
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
-    """What the pixels saw, in the local basis (r, theta, z) of their scene points.
+    """What pixels saw, in the local basis (r, theta, z) of their scene points.
+
+    `counts` (n_leds, n) are the view's intensities there.
 
     Returns
     -------
@@ -254,55 +282,26 @@ def _observe(
     leds = np.array([view.light.leds[k].position for k in view.leds])
     leds = _in_view_frame(view.axis, leds)
     points = scene.cast(patch, origin, _pixel_directions(view, pixels))
-    lit = scene.lit(obstacles, points, leds)
+    lit = scene.lit(obstacles, points, leds, view.camera.size_px[0])
     phi, z, r = points.T
-    local = _LocalBasis.at(points)
-    theta = phi - view.encoder
-    in_camera = view.axis.to_camera(theta, z, r, view.encoder)
-    counts = view.intensity.reshape(len(leds), -1)[:, pixels]
-    shape = counts.shape
-    intensity, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    lights = np.empty((*shape, 3), np.float32)
+    in_camera = view.axis.to_camera(phi - view.encoder, z, r, view.encoder)
+    shape = lit.shape
+    irradiance = np.empty(shape)
     for m, k in enumerate(view.leds):
-        irradiance = view.light.irradiance(k, in_camera)
-        # Behind an LED there is no light to divide by.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            intensity[m] = counts[m] / irradiance
-            noise[m] = view.noise[m] / irradiance
-        lights[m] = _unit(local.vectors_to(leds[m]))
-    saturated = np.isnan(counts)
-    outside = np.isnan(r)
-    usable = lit & ~saturated & np.isfinite(intensity)
-    quality = np.where(outside, OUTSIDE, np.uint8(0))
-    quality |= np.where(~outside & (~lit).any(axis=0), SHADOWED, np.uint8(0))
-    quality |= np.where(~outside & saturated.any(axis=0), SATURATED, np.uint8(0))
-    views = _unit(local.vectors_to(origin)).astype(np.float32)
-    return Observations(intensity, lights, views, usable, noise), points, quality
-
-
-@dataclass(frozen=True)
-class _LocalBasis:
-    """The bases (r, theta, z) at points of {V}: cosine and sine of phi, z and r, (n,) each."""
-
-    cosine: np.ndarray
-    sine: np.ndarray
-    z: np.ndarray
-    r: np.ndarray
-
-    @classmethod
-    def at(cls, points: np.ndarray) -> "_LocalBasis":
-        phi, z, r = points.T
-        return cls(np.cos(phi), np.sin(phi), z, r)
-
-    def vectors_to(self, target: np.ndarray) -> np.ndarray:
-        """Vectors (n, 3) from the points to a place in {V}."""
-        c, s = self.cosine, self.sine
-        x, y = target[0], target[1]
-        return np.stack([c * x + s * y - self.r, c * y - s * x, target[2] - self.z], axis=-1)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+        irradiance[m] = view.light.irradiance(k, in_camera)
+    seen = Observations(
+        intensity=np.empty(shape, np.float32),
+        lights=np.empty((*shape, 3), np.float32),
+        views=np.empty((shape[1], 3), np.float32),
+        usable=np.empty(shape, np.bool_),
+        noise=np.empty(shape, np.float32),
+    )
+    quality = np.empty(shape[1], np.uint8)
+    view_kernels.observe(
+        points, counts, irradiance, view.noise, lit, leds, origin,
+        seen.intensity, seen.noise, seen.lights, seen.views, seen.usable, quality,
+    )  # fmt: skip
+    return seen, points, quality
 
 
 def _empty_maps(total: int, memory: Memory | Spool) -> ViewNormals:

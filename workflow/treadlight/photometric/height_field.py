@@ -1,0 +1,42 @@
+"""What the kernels of rays and of shadows share: a height field at one place, and rays over it."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, inline="always")
+def sample(field, row, column):
+    """Bilinear; NaN outside and beside NaN."""
+    if not (row >= 0.0 and column >= 0.0):
+        return np.nan
+    i, j = int(row), int(column)
+    if i > field.shape[0] - 2 or j > field.shape[1] - 2:
+        return np.nan
+    a, b = row - i, column - j
+    top = field[i, j] + b * (field[i, j + 1] - field[i, j])
+    bottom = field[i + 1, j] + b * (field[i + 1, j + 1] - field[i + 1, j])
+    return top + a * (bottom - top)
+
+
+@njit(cache=True, inline="always")
+def atan(q):
+    """Arc tangent to 1e-5 for |q| < 0.4: rays turn little about the axis near the surface.
+
+    It rises everywhere, so that an angle between two others stays there.
+    """
+    p = q * q
+    return q * (1.0 - p * (1 / 3 - p * (1 / 5 - p * (1 / 7 - p / 9))))
+
+
+@njit(cache=True)
+def crossings(x, y, dx, dy, radius):
+    """Both ray parameters at which |(x, y) + t (dx, dy)| = radius; NaN if never."""
+    a = dx * dx + dy * dy
+    b = x * dx + y * dy
+    disc = b * b - a * (x * x + y * y - radius * radius)
+    if not (a > 0.0 and disc >= 0.0):
+        return np.nan, np.nan
+    root = math.sqrt(disc)
+    return (-b - root) / a, (-b + root) / a

@@ -1,0 +1,207 @@
+"""Which LEDs the surface hides from points of it, compiled; `scene` says what is what.
+
+A ray to an LED walks by one cell. For the pixels of a tile together it is first found out where on
+their way to an LED they could meet anything at all: elsewhere none of them need look.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from treadlight.photometric.height_field import atan, crossings, sample
+
+# Cells along a side of the blocks whose highest surface is known.
+BLOCK = 8
+# Pixels of a tile; neighbours that lie further apart than so many cells look each for itself.
+_TILE_ROWS, _TILE_COLUMNS, _WIDEST_CELLS = 8, 32, 64
+_PART_ROWS, _PART_COLUMNS = 4, 8
+_ACROSS = _TILE_COLUMNS // _PART_COLUMNS
+_PARTS = _TILE_ROWS // _PART_ROWS * _ACROSS
+_MAX_STEPS = 4096
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def lit(
+    r, r_std, obstacles, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
+    points, leds, width, out,
+):  # fmt: skip
+    """Whether LEDs reach points, as `scene.lit` gives it, into out (n_leds, n) of false."""
+    n = len(points)
+    across = (width + _TILE_COLUMNS - 1) // _TILE_COLUMNS
+    down = ((n + width - 1) // width + _TILE_ROWS - 1) // _TILE_ROWS
+    field = (r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell)
+    for tile in prange(across * down):
+        number = np.int64(tile)
+        row, column = number // across * _TILE_ROWS, number % across * _TILE_COLUMNS
+        _lit_tile(field, obstacles, crests, points, leds, width, row, column, out)
+
+
+@njit(cache=True)
+def _lit_tile(field, obstacles, crests, points, leds, width, row, column, out):
+    """A tile's pixels; where they need look, parts of the tile are asked first."""
+    whole = _bounds(field, points, width, row, column, _TILE_ROWS, _TILE_COLUMNS)
+    parts = np.empty((_PARTS, len(whole)))
+    for part in range(_PARTS):
+        v, u = row + part // _ACROSS * _PART_ROWS, column + part % _ACROSS * _PART_COLUMNS
+        parts[part] = _bounds(field, points, width, v, u, _PART_ROWS, _PART_COLUMNS)
+    for m in range(len(leds)):
+        near, far = _doubtful(field, obstacles, whole, leds[m])
+        for part in range(_PARTS):
+            v, u = row + part // _ACROSS * _PART_ROWS, column + part % _ACROSS * _PART_COLUMNS
+            begin, end = near, far
+            if near < far:
+                begin, end = _doubtful(field, obstacles, parts[part], leds[m])
+            _lit_part(field, crests, points, leds[m], width, v, u, begin, end, out[m])
+
+
+@njit(cache=True)
+def _lit_part(field, crests, points, led, width, row, column, near, far, out):
+    """The pixels of a part of a tile, which could meet something between two shares of the way."""
+    for v in range(row, row + _PART_ROWS):
+        first = v * width + column
+        for k in range(first, min(len(points), first + _PART_COLUMNS, (v + 1) * width)):
+            phi, z, height = points[k]
+            if not height > 0.0:
+                continue
+            if near >= far:
+                out[k] = True
+                continue
+            c, s = math.cos(phi), math.sin(phi)
+            radial, tangential = c * led[0] + s * led[1] - height, c * led[1] - s * led[0]
+            out[k] = not _blocked(
+                field, crests, phi, z, height, radial, tangential, led[2] - z, near, far
+            )
+
+
+@njit(cache=True)
+def _bounds(field, points, width, row, column, rows, columns):
+    """What holds of all known points of a tile: NaN if there are none.
+
+    Middle and half extent of phi and of z, least and most height, least variance.
+    """
+    _, r_std, phi_0, step_phi, z_0, step_z, _, _ = field
+    phi_low = z_low = low = variance = np.inf
+    phi_high = z_high = high = -np.inf
+    for v in range(row, row + rows):
+        first = v * width + column
+        for k in range(first, min(len(points), first + columns, (v + 1) * width)):
+            phi, z, height = points[k]
+            if not height > 0.0:
+                continue
+            phi_low, phi_high = min(phi_low, phi), max(phi_high, phi)
+            z_low, z_high = min(z_low, z), max(z_high, z)
+            low, high = min(low, height), max(high, height)
+            variance = min(variance, _variance(r_std, (phi - phi_0) / step_phi, (z - z_0) / step_z))
+    return (
+        0.5 * (phi_low + phi_high), 0.5 * (phi_high - phi_low),
+        0.5 * (z_low + z_high), 0.5 * (z_high - z_low), low, high, variance,
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def _variance(r_std, row, column):
+    std = sample(r_std, row, column)
+    return 0.0 if math.isnan(std) else std * std
+
+
+@njit(cache=True)
+def _doubtful(field, obstacles, bounds, led):
+    """Between which shares of their way to an LED points within bounds could meet the surface.
+
+    (0, 1) if nothing is known, (1, 0) if they meet nothing.
+
+    All of a share t lie within the bounds' extent about the middle one's point, since rays to one
+    place draw nearer. Their least radius is that of the lowest and most turned away: its square
+    (1-t)^2 h^2 + 2 t (1-t) h g + t^2 L^2, where g is the LED's distance along the point's radius
+    and L that from the axis, rises with t and h if g > h.
+    """
+    _, _, phi_0, step_phi, z_0, step_z, r_max, cell = field
+    phi, half_phi, z, half_z, low, high, variance = bounds
+    c, s = math.cos(phi), math.sin(phi)
+    along, across = c * led[0] + s * led[1], c * led[1] - s * led[0]
+    facing = along * math.cos(half_phi) - abs(across) * math.sin(half_phi)
+    # A little more, for what angles are rounded by.
+    rows, columns = half_phi / step_phi + 1.0, half_z / step_z + 0.1
+    if not (facing > high and max(rows, columns) <= _WIDEST_CELLS):
+        return 0.0, 1.0
+    distance2 = led[0] * led[0] + led[1] * led[1]
+    # About one block along the way at a time.
+    share = BLOCK * cell / max(math.sqrt(across * across + (led[2] - z) ** 2), cell)
+    near, far = 1.0, 0.0
+    t = 0.0
+    while t < 1.0:
+        left = 1.0 - t
+        level2 = left * left * low * low + 2.0 * t * left * low * facing + t * t * distance2
+        if level2 > r_max * r_max:
+            break
+        end = min(t + share, 1.0)
+        # Lower points turn further about the axis.
+        turn = atan(t * across / (left * high + t * along))
+        turn_end = atan(end * across / ((1.0 - end) * low + end * along))
+        first, last = min(turn, turn_end), max(turn, turn_end)
+        z_t, z_end = z + t * (led[2] - z), z + end * (led[2] - z)
+        hides = _may_hide(
+            obstacles,
+            (phi + first - phi_0) / step_phi - rows, (phi + last - phi_0) / step_phi + rows,
+            (min(z_t, z_end) - z_0) / step_z - columns, (max(z_t, z_end) - z_0) / step_z + columns,
+            math.sqrt(level2) + 0.5 * cell, variance,
+        )  # fmt: skip
+        if hides:
+            near, far = min(near, t), end
+        t = end
+    return near, far
+
+
+@njit(cache=True)
+def _may_hide(obstacles, row, last_row, column, last_column, level, variance):
+    """Whether any surface of these rows and columns could stand above a level and its doubt."""
+    tops, stds = obstacles
+    first_i = max(math.floor(row) // BLOCK, 0)
+    first_j = max(math.floor(column) // BLOCK, 0)
+    last_i = min(math.floor(last_row) // BLOCK, tops.shape[0] - 1)
+    last_j = min(math.floor(last_column) // BLOCK, tops.shape[1] - 1)
+    for i in range(first_i, last_i + 1):
+        for j in range(first_j, last_j + 1):
+            depth = tops[i, j] - level
+            if depth > 0.0:
+                std = stds[i, j]
+                if depth > 2.0 * math.sqrt(variance + std * std):
+                    return True
+    return False
+
+
+@njit(cache=True)
+def _blocked(field, crests, phi, z, height, radial, tangential, dz, near, far):
+    """Whether the surface hides the light at (radial, tangential, dz) from a point.
+
+    It is looked for between two shares of the way.
+    """
+    r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell = field
+    _, leave = crossings(height, 0.0, radial, tangential, max(r_max, height))
+    if math.isnan(leave):
+        return False
+    var = _variance(r_std, (phi - phi_0) / step_phi, (z - z_0) / step_z)
+    span = min(leave, 1.0)
+    lateral = span * math.sqrt(tangential * tangential + dz * dz)
+    steps = min(_MAX_STEPS, 1 + int(lateral / cell))
+    ahead = crests[1] if dz > 0 else crests[0]
+    first = max(1, math.floor(near / span * steps))
+    last = min(steps, math.ceil(far / span * steps))
+    for i in range(first, last + 1):
+        t = span * i / steps
+        x, y = height + t * radial, t * tangential
+        column = (z + t * dz - z_0) / step_z
+        level = math.sqrt(x * x + y * y)
+        # A rising ray that is above all that lies ahead meets nothing any more.
+        nearest = min(max(int(column) + (dz <= 0), 0), len(ahead) - 1)
+        if radial > 0.0 and level > ahead[nearest]:
+            return False
+        row = (phi + atan(y / x) - phi_0) / step_phi
+        depth = sample(r, row, column) - level
+        # The square root of the variances only where half a step alone is exceeded.
+        if depth > 0.5 * cell:
+            std = r_std[int(row), int(column)]
+            if depth > 0.5 * cell + 2.0 * math.sqrt(var + std * std):
+                return True
+    return False
