@@ -44,6 +44,12 @@ def _add_product(out, a, b):
 
 
 @njit(cache=True)
+def _add_products(out, a, b, c, d):
+    for k in range(len(out)):
+        out[k] += a[k] * b[k] + c[k] * d[k]
+
+
+@njit(cache=True)
 def _keep_positive(row):
     """Coarse couplings may be negative, and cancel others: they do not count in the weights."""
     zero = row.dtype.type(0)
@@ -116,40 +122,40 @@ def _between_corners(stencil, i, weights, around):
     north, south, west, east, total = (
         around[0, :half], around[1, :half], around[2, :half], around[3, :half], around[4, :half],
     )  # fmt: skip
+    upper_left, upper_right = weights[_CORNERS, :half], weights[_CORNERS + 1, :half]
+    lower_left, lower_right = weights[_CORNERS + 2, :half], weights[_CORNERS + 3, :half]
+    lack = weights[_LACK_CORNERS, :half]
     _pick(north, stencil.below[i - 1], 1)
     _pick(south, stencil.below[i], 1)
     _pick(west, stencil.right[i], 0)
     _pick(east, stencil.right[i], 1)
-    corners = weights[_CORNERS:, :half]
-    _pick(corners[4], stencil.data[i], 1)
+    _pick(lack, stencil.data[i], 1)
     if stencil.below_right.size:
-        _pick(corners[0], stencil.below_right[i - 1], 0)
-        _pick(corners[1, :inner], stencil.below_left[i - 1], 2)
-        _pick(corners[2], stencil.below_left[i], 1)
-        _pick(corners[3], stencil.below_right[i], 1)
+        _pick(upper_left, stencil.below_right[i - 1], 0)
+        _pick(upper_right[:inner], stencil.below_left[i - 1], 2)
+        _pick(lower_left, stencil.below_left[i], 1)
+        _pick(lower_right, stencil.below_right[i], 1)
     total[:] = 0
     for k in range(4):
-        _add_positive(total, around[k])
+        _add_positive(total, around[k, :half])
     for k in range(5):
-        _add_positive(total, corners[k])
-    _add_product(corners[0], north, weights[_LEFT])
-    _add_product(corners[0], west, weights[_ABOVE])
-    _add_product(corners[1], north, weights[_RIGHT])
-    _add_product(corners[1, :inner], east, weights[_ABOVE, 1:])
-    _add_product(corners[2], south, weights[_NEXT])
-    _add_product(corners[2], west, weights[_BELOW])
-    _add_product(corners[3], south, weights[_NEXT + 1])
-    _add_product(corners[3, :inner], east, weights[_BELOW, 1:])
-    _add_product(corners[4], north, weights[_LACK])
-    _add_product(corners[4], south, weights[_NEXT + 2])
-    _add_product(corners[4], west, weights[_LACK_COLUMN])
-    _add_product(corners[4, :inner], east, weights[_LACK_COLUMN, 1:])
+        _add_positive(total, weights[_CORNERS + k, :half])
+    _add_products(upper_left, north, weights[_LEFT], west, weights[_ABOVE])
+    _add_products(lower_left, south, weights[_NEXT], west, weights[_BELOW])
+    _add_product(upper_right, north, weights[_RIGHT])
+    _add_product(upper_right[:inner], east, weights[_ABOVE, 1:])
+    _add_product(lower_right, south, weights[_NEXT + 1])
+    _add_product(lower_right[:inner], east, weights[_BELOW, 1:])
+    _add_products(lack, north, weights[_LACK], south, weights[_NEXT + 2])
+    _add_product(lack, west, weights[_LACK_COLUMN])
+    _add_product(lack[:inner], east, weights[_LACK_COLUMN, 1:])
     zero, one = total.dtype.type(0), total.dtype.type(1)
     for b in range(half):
         total[b] = one / total[b] if total[b] > zero else zero
     for k in range(5):
+        corner = weights[_CORNERS + k]
         for b in range(half):
-            corners[k, b] *= total[b]
+            corner[b] *= total[b]
 
 
 @njit(cache=True)
