@@ -71,6 +71,24 @@ def test_three_dimensions_and_texts_come_back(tmp_path, rng):
     assert found.capture.attrs["long_name"] == "capture"
 
 
+@pytest.mark.parametrize("rows", [[2, 3, 4], [5, 6, 0, 1], [0, 1, 2, 3, 4, 5, 6], []])
+def test_neighbouring_rows_are_read_across_the_seam_too(tmp_path, rows):
+    write(tmp_path / "a.zarr")
+    rows = np.array(rows, int)
+    found = store.load_rows(store.open_store(tmp_path / "a.zarr"), rows)
+    np.testing.assert_array_equal(found.r, dataset().r.values[rows])
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_store_is_the_same_from_any_number_of_threads(tmp_path, rng, threads):
+    data = dataset((1100, 300)) + rng.normal(size=(1100, 300)).astype(np.float32)
+    data["r"].attrs = {"units": "mm", "long_name": "radius"}
+    write(tmp_path / "a.zarr", data)
+    write(tmp_path / "b.zarr", data, threads=threads)
+    digests = [store.open_store(tmp_path / name).content_digest for name in ("a.zarr", "b.zarr")]
+    assert digests[0] == digests[1]
+
+
 def test_flags_are_bit_masks_in_cf(tmp_path):
     names = ["laser", "photometric", "step"]
     values = np.array([[0, 1, 2, 5]], np.uint8)

@@ -25,7 +25,16 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from treadlight.errors import StoreError
-from treadlight.geometry import Axis, Camera, Illumination, Led, Plane, Rig, Vignetting
+from treadlight.geometry import (
+    Axis,
+    Camera,
+    CylinderGrid,
+    Illumination,
+    Led,
+    Plane,
+    Rig,
+    Vignetting,
+)
 from treadlight.spool import IN_MEMORY, Memory, Spool
 
 ROOT_METADATA = "zarr.json"
@@ -220,6 +229,23 @@ def check_content(path: Path) -> None:
     claimed = _root_attributes(path).get("content_digest")
     if claimed is None or claimed != content_digest(path):
         raise StoreError(f"{path}: its content does not match its digest. Delete it and run again.")
+
+
+def grid_of(surface: xr.Dataset) -> CylinderGrid:
+    """The grid that a surface.zarr or profile.zarr lies on."""
+    radius = float(surface.attrs["nominal_radius_mm"])
+    return CylinderGrid(surface["theta"].to_numpy(), surface["z"].to_numpy(), radius)
+
+
+def load_rows(surface: xr.Dataset, rows: np.ndarray) -> xr.Dataset:
+    """Neighbouring rows of a grid, which may run past the last one to the first.
+
+    zarr would be slow to pick them one by one.
+    """
+    seams = np.flatnonzero(np.diff(rows) != 1) + 1
+    spans = [slice(part[0], part[-1] + 1) for part in np.split(rows, seams) if len(part)]
+    loaded = [surface.isel(theta=span).load() for span in spans or [slice(0)]]
+    return loaded[0] if len(loaded) == 1 else xr.concat(loaded, "theta")
 
 
 def store_folder(path: Path) -> Path:

@@ -14,7 +14,7 @@ from treadlight import store
 from treadlight.archive import read_capture
 from treadlight.commands import photometric_stereo as command
 from treadlight.photometric import METHODS, Observations, View, observe_view
-from treadlight.photometric.view import needed_rows, part_of
+from treadlight.photometric.view import needed_rows
 
 # The scale of the figure ends here.
 _LARGEST = 0.6
@@ -56,10 +56,10 @@ def main() -> None:
 def observe(view: View, surface: Path) -> Observations:
     """What the stage gives its method of every pixel of a view."""
     found = store.open_store(surface)
-    grid = command.grid_of(found)
+    grid = store.grid_of(found)
     rows = needed_rows(view, grid)
-    part = found[["r", "r_std"]].isel(theta=rows).load()
-    return observe_view(view, part_of(grid, rows), part["r"].to_numpy(), part["r_std"].to_numpy())
+    part = store.load_rows(found[["r", "r_std"]], rows)
+    return observe_view(view, grid.part(rows), part["r"].to_numpy(), part["r_std"].to_numpy())
 
 
 def figures(residual: np.ndarray) -> dict[str, float]:

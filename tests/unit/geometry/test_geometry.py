@@ -96,5 +96,16 @@ def test_sector_past_pi_is_open_and_increasing():
     assert column == pytest.approx(4)
 
 
+@pytest.mark.parametrize("rows", [np.arange(3, 9), (np.arange(20) - 7) % 126])
+def test_part_of_a_turn_has_the_angles_of_its_rows(rows):
+    grid = CylinderGrid.whole_turn((0.0, 5.0), 5.0, 100.0)
+    part = grid.part(rows)
+    assert not part.periodic
+    assert part.step_theta == pytest.approx(grid.step_theta)
+    assert -np.pi <= part.theta[0] < np.pi
+    np.testing.assert_allclose(wrap_angle(part.theta - grid.theta[rows]), 0, atol=1e-9)
+    assert grid.part(np.arange(126)) is grid
+
+
 def test_wrap_keeps_minus_pi():
     assert wrap_angle(np.array([np.pi, -np.pi, 2 * np.pi])) == pytest.approx([-np.pi, -np.pi, 0])

@@ -48,7 +48,7 @@ def products(tmp_path, rng):
         attrs={"nominal_radius_mm": 100.0, "tire": "t1"},
     )
     store.write_store(tmp_path / "surface.zarr", surface, title="s", source="t1-0")
-    theta = np.linspace(0.02, 0.28, 6)[:, None] + 0 * grid.z
+    theta = np.linspace(0.02, 0.28, 16)[:, None] + 0 * grid.z
     values = {
         "r": 100 + rng.normal(0, 0.1, theta.shape),
         "theta": theta,
@@ -101,3 +101,44 @@ def test_a_refused_surface_is_passed_on(products):
     assert integrate(products) == 0
     assert store.refused_reason(products / "profile.zarr") == "No section."
     assert store.refused_reason(products / "quality.json") == "No section."
+
+
+def write_view(folder, number, first, last, rng):
+    """Flat tread, 140 by 44 pixels, seen between two angles, rad."""
+    theta, z = np.meshgrid(np.linspace(first, last, 140), np.linspace(-9.9, 9.9, 44), indexing="ij")
+    flat = np.zeros((*theta.shape, 3))
+    flat[..., 0] = 1
+    values = {"r": theta * 0 + 100, "theta": theta, "z": z, "residual": theta * 0 + 0.02}
+    values |= dict.fromkeys(("k_d", "k_s", "alpha"), theta * 0 + 0.3)
+    pixel, field = ("v", "u"), store.variable
+    variables = {name: field(pixel, v.astype(np.float32), "1", name) for name, v in values.items()}
+    variables["normal"] = field((*pixel, "component"), flat, "1", "normal")
+    covariance = np.full(flat.shape, 1e-4) * [1, 0, 1]
+    variables["normal_cov"] = field((*pixel, "tilt"), covariance, "rad2", "covariance")
+    names = ("outside", "shadowed", "saturated", "poor_fit")
+    none = np.zeros(theta.shape, np.uint8)
+    variables["quality"] = field(pixel, none, "1", "flags", **store.flag_attrs(names))
+    pattern = rng.normal(0, 1, (4, 8, 8))
+    variables["light_pattern"] = field(("led", "row", "column"), pattern, "1", "light")
+    view = xr.Dataset(variables, {"led": field(("led",), np.arange(4), "1", "LED")})
+    path = folder / f"fov{number:02d}"
+    store.write_store(path, view, title="n", source="t1-0")
+    return str(path)
+
+
+def test_sectors_of_a_capture_give_the_profile_of_the_whole(products, rng):
+    views = [
+        write_view(products, k, first, first + 0.12, rng)
+        for k, first in enumerate((0.0, 0.09, 0.18))
+    ]
+    found = []
+    for cells in (16_000_000, 1):
+        settings = json.dumps({"held_out_every": 0, "sector_cells": cells})
+        assert integrate(products, "--views", *views, "--settings", settings) == 0
+        found.append(store.open_store(products / "profile.zarr").load())
+    whole, sectors = found
+    assert set(whole.variables) == set(sectors.variables)
+    # The level of a sector of seven sections is known to 6 um.
+    assert 0 < np.abs(sectors.r - whole.r).max() < 0.03
+    np.testing.assert_array_equal(sectors.quality, whole.quality)
+    np.testing.assert_allclose(sectors.normal, whole.normal, atol=0.01)

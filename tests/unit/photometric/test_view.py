@@ -8,7 +8,7 @@ import pytest
 from treadlight.geometry import Camera, CylinderGrid
 from treadlight.photometric import PhotometrySettings, View, solve_view
 from treadlight.photometric.observations import OUTSIDE, POOR_FIT, SATURATED, SHADOWED
-from treadlight.photometric.view import needed_rows, part_of
+from treadlight.photometric.view import needed_rows
 
 ENCODER = 2.5
 SETTINGS = PhotometrySettings()
@@ -78,7 +78,7 @@ def test_the_needed_rows_of_a_surface_are_enough(view, bench, analytic, encoder)
     r = bench.r + 2.0 * np.cos(8 * bench.grid.theta)[:, None]
     rows = needed_rows(turned, bench.grid)
     assert len(rows) < len(bench.grid.theta)
-    part = part_of(bench.grid, rows)
+    part = bench.grid.part(rows)
     every = solve(turned, bench, r)
     some = solve_view(turned, part, r[rows], 0 * r[rows], SETTINGS)
     np.testing.assert_allclose(some.theta, every.theta, atol=1e-6)
@@ -91,7 +91,7 @@ def test_a_view_that_sees_nothing_of_a_sector_is_empty(view, bench):
     turned = dataclasses.replace(view, encoder=np.pi)
     rows = needed_rows(turned, grid)
     part = np.full((len(rows), len(grid.z)), 100.0)
-    found = solve_view(turned, part_of(grid, rows), part, 0 * part, SETTINGS)
+    found = solve_view(turned, grid.part(rows), part, 0 * part, SETTINGS)
     assert (found.quality == OUTSIDE).all()
 
 

@@ -120,7 +120,7 @@ class _Case:
         return rows, surfaces
 
     def _profile(self, source: str) -> "tuple[integrate.Profile, CylinderGrid]":
-        from treadlight import integrate
+        from treadlight import integrate, store
         from treadlight.evaluate.budget import smooth_normals, true_points, without_error
 
         surface, laser, views, rig = self.surface, self.laser, self.views, self.rig
@@ -128,7 +128,7 @@ class _Case:
             rig = self.true_rig
             laser, surface = self._registered(rig)
             views = {n: self._solved(n, rig) for n in self.views}
-        grid = stage.grid_of(surface)
+        grid = store.grid_of(surface)
         first = integrate.FirstSurface(surface["r"].to_numpy(), surface["r_std"].to_numpy())
         sections = stage.laser_sections(laser)
         normals = [
@@ -161,6 +161,7 @@ class _Case:
 
     def _solved(self, number: int, rig: "Rig") -> "xr.Dataset":
         """photometric.zarr/fovNN as this rig gives it, on the measured surface."""
+        from treadlight import store
         from treadlight.commands import photometric_stereo as photometry
         from treadlight.photometric.settings import PhotometrySettings
         from treadlight.photometric.view import solve_view
@@ -169,7 +170,7 @@ class _Case:
         settings = common.recorded_settings(self.products / "photometric.zarr" / name)
         illumination = self.calibration / "illumination.zarr"
         view, _ = photometry.read_view(self.capture, number, rig, illumination)
-        grid = photometry.grid_of(self.surface)
+        grid = store.grid_of(self.surface)
         r, r_std = (self.surface[n].to_numpy() for n in ("r", "r_std"))
         found = solve_view(view, grid, r, r_std, PhotometrySettings(**settings))
         return photometry.dataset_of(found)

@@ -46,8 +46,11 @@ def run(args: argparse.Namespace) -> int:
     out = store.store_folder(args.out)
 
     def work() -> None:
-        profile, report = integrate_products(args, settings, Spool(out.parent))
-        store.write_store(out, profile, title="Profile", source=capture.id)
+        memory = Spool(out.parent)
+        profile, report = integrate_products(args, settings, memory)
+        store.write_store(
+            out, profile, title="Profile", source=capture.id, threads=args.threads, memory=memory
+        )
         store.write_json(args.quality, report)
 
     return common.run_stage(
@@ -72,7 +75,7 @@ def integrate_products(
     surface = store.open_store(args.surface)
     laser = store.open_store(args.laser).load()
     rig = store.read_rig(args.calibration)
-    grid = grid_of(surface)
+    grid = store.grid_of(surface)
     sections = laser_sections(laser)
     capture = read_capture(args.capture)
     warnings = [*args.warning, *store.read_json(args.calibration).get("warnings", ())]
@@ -97,7 +100,7 @@ def integrate_products(
         seen = [v for v in views if len(sectors) == 1 or v.sees(sector.grid)]
         place = f"sector {k + 1} of {len(sectors)}, " if len(sectors) > 1 else ""
         told = common.progress(seen, f"{capture.id}: {place}views gathered", len(seen), 0)
-        part = surface[["r", "r_std"]].isel(theta=sector.rows).load()
+        part = store.load_rows(surface[["r", "r_std"]], sector.rows)
         first = integrate.FirstSurface(part["r"].to_numpy(), part["r_std"].to_numpy())
         profile = integrate.integrate_capture(
             told, sections, first, sector.grid, settings.held_out_every, core=sector.core
@@ -135,14 +138,6 @@ def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
             f" {' and '.join(map(str, leds))} look exchanged. Correct led in frames.csv."
         )
     return usable, warnings
-
-
-def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
-    """The grid that a surface.zarr lies on."""
-    from treadlight.geometry import CylinderGrid
-
-    radius = float(surface.attrs["nominal_radius_mm"])
-    return CylinderGrid(surface["theta"].to_numpy(), surface["z"].to_numpy(), radius)
 
 
 def laser_sections(laser: "xr.Dataset") -> "integrate.LaserSections":

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from treadlight.archive import Capture, Frame
-    from treadlight.geometry import CylinderGrid, Rig
+    from treadlight.geometry import Rig
     from treadlight.photometric.view import View, ViewNormals
 
 _LONG_NAMES = {
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight import store
     from treadlight.archive import read_capture
     from treadlight.photometric.settings import PhotometrySettings
-    from treadlight.photometric.view import needed_rows, part_of, solve_view
+    from treadlight.photometric.view import needed_rows, solve_view
 
     settings = common.parse_settings(args.settings, PhotometrySettings)
     capture = read_capture(args.capture)
@@ -62,17 +62,17 @@ def run(args: argparse.Namespace) -> int:
         memory = Spool(out.parent)
         view, warnings = read_view(capture, args.view, rig, args.illumination, memory, args.threads)
         surface = store.open_store(args.surface)
-        grid = grid_of(surface)
+        grid = store.grid_of(surface)
         # A whole turn at full size is gigabytes: only what the view needs is read.
         rows = needed_rows(view, grid)
         place = capture.views.index(args.view) + 1
         common.say(
             f"{capture.id}: view {place} of {len(capture.views)}, {len(view.leds)} images read"
         )
-        part = _rows_of(surface[["r", "r_std"]], rows)
+        part = store.load_rows(surface[["r", "r_std"]], rows)
         found = solve_view(
             view,
-            part_of(grid, rows),
+            grid.part(rows),
             part["r"].to_numpy(),
             part["r_std"].to_numpy(),
             settings,
@@ -90,31 +90,6 @@ def run(args: argparse.Namespace) -> int:
         title=title,
         source=capture.id,
         work=work,
-    )
-
-
-def _rows_of(surface: "xr.Dataset", rows: "np.ndarray") -> "xr.Dataset":
-    """Neighbouring rows, loaded, which may run past the last one to the first.
-
-    zarr would be slow to pick them one by one.
-    """
-    import xarray as xr
-
-    seam = int((rows[1:] < rows[:-1]).argmax()) + 1 if rows[-1] < rows[0] else len(rows)
-    parts = [rows[:seam], rows[seam:]]
-    spans = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
-    loaded = [surface.isel(theta=span).load() for span in spans]
-    return loaded[0] if len(loaded) == 1 else xr.concat(loaded, "theta")
-
-
-def grid_of(surface: "xr.Dataset") -> "CylinderGrid":
-    """The grid that a surface.zarr or profile.zarr lies on."""
-    from treadlight.geometry import CylinderGrid
-
-    return CylinderGrid(
-        surface["theta"].to_numpy(),
-        surface["z"].to_numpy(),
-        float(surface.attrs["nominal_radius_mm"]),
     )
 
 

@@ -70,6 +70,16 @@ class CylinderGrid:
         theta = theta - theta[0] + wrap_angle(theta[0])
         return cls(theta, _centres(*z_range, step_mm), nominal_radius_mm)
 
+    def part(self, rows: np.ndarray) -> "CylinderGrid":
+        """The grid of neighbouring rows (k,), which may run past the last one to the first.
+
+        All, or none, are the grid itself.
+        """
+        if len(rows) in (0, len(self.theta)):
+            return self
+        theta = wrap_angle(self.theta[rows[0]]) + np.arange(len(rows)) * self.step_theta
+        return CylinderGrid(theta, self.z, self.nominal_radius_mm)
+
     def index(self, theta: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fractional row and column indices of points; theta is compared modulo 2 pi.
 

@@ -6,13 +6,12 @@ each other where both are far from their ends.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from treadlight.geometry import CylinderGrid
-from treadlight.geometry.axis import wrap_angle
 from treadlight.integrate.profile import Profile
 from treadlight.integrate.uncertainty import HeldOut
 
@@ -76,12 +75,7 @@ def sectors_of(grid: CylinderGrid, spacing: float, most_cells: int) -> Iterator[
         outside = np.maximum(before, behind)
         weight = np.clip(0.5 - (outside - 0.5) / max(faded, 1), 0, 1).astype(np.float32)
         core_rows = slice(int(first - rows[0]), int(last - rows[0]))
-        yield Sector(rows % n, _part_of(grid, rows), core_rows, weight)
-
-
-def _part_of(grid: CylinderGrid, rows: np.ndarray) -> CylinderGrid:
-    theta = grid.theta[0] + rows * grid.step_theta
-    return replace(grid, theta=theta - theta[0] + wrap_angle(theta[0]))
+        yield Sector(rows % n, grid.part(rows % n), core_rows, weight)
 
 
 class Joined:

@@ -224,14 +224,6 @@ def needed_rows(view: View, grid: CylinderGrid) -> np.ndarray:
     return np.arange(first, last + 1) % count
 
 
-def part_of(grid: CylinderGrid, rows: np.ndarray) -> CylinderGrid:
-    """The grid of some neighbouring rows, which may run past the last one to the first."""
-    if len(rows) in (0, len(grid.theta)):
-        return grid
-    theta = wrap_angle(grid.theta[rows[0]]) + np.arange(len(rows)) * grid.step_theta
-    return CylinderGrid(theta, grid.z, grid.nominal_radius_mm)
-
-
 def _seen_angles(view: View, r: np.ndarray) -> tuple[float, float]:
     """Range of phi at which the view's rays enter a surface or come nearest to the axis."""
     radii = np.array([np.nanmin(r, initial=np.inf), np.nanmax(r, initial=0.0)])
