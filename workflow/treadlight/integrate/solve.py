@@ -145,14 +145,21 @@ def linear_solve(
     problem: Problem, r: np.ndarray, share: np.ndarray, laser_share: np.ndarray, iterations: int
 ) -> np.ndarray:
     """Heights (n, m) that minimise the energy under given shares, from r on."""
-    laser = problem.laser
     system, pull = weighted_system(problem, share, laser_share)
+    residual = linear_residual(problem, system, pull, r, laser_share)
+    correction, _ = Solver(system).solve(residual, _TOLERANCE_MM, iterations)
+    return r + correction
+
+
+def linear_residual(
+    problem: Problem, system: System, pull: np.ndarray, r: np.ndarray, laser_share: np.ndarray
+) -> np.ndarray:
+    """What the weighted system lacks at heights r, (n, m) float32, summed in double precision."""
+    laser = problem.laser
     residual = problem.prior_weight * (problem.prior - r) - pull * r
     np.add.at(residual, (laser.row, laser.column), laser_share / laser.std**2 * laser.value)
     _add_edges(system.w_theta, system.w_z, problem.edges.step, r, residual)
-    residual = residual.astype(np.float32)
-    correction, _ = Solver(system).solve(residual, _TOLERANCE_MM, iterations)
-    return r + correction
+    return residual.astype(np.float32)
 
 
 @njit(cache=True, parallel=True)
