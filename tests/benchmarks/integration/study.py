@@ -74,7 +74,9 @@ def _sample(results: Path, folder: Path) -> tuple[dict[str, np.ndarray], Cylinde
     capture = read_capture(folder)
     calibration = store.read_json(results / "archive.json")["calibration_of"][folder.name]
     rig = store.read_rig(results / "calibrations" / calibration / "calibration.json")
-    first, grid = stage.first_surface(store.open_store(products / "surface.zarr").load())
+    surface = store.open_store(products / "surface.zarr").load()
+    grid = store.grid_of(surface)
+    first = integrate.FirstSurface(surface["r"].to_numpy(), surface["r_std"].to_numpy())
     sections = stage.laser_sections(store.open_store(products / "laser.zarr").load())
     views = [
         stage.view_normals(
