@@ -246,7 +246,7 @@ def test_errors_that_neighbours_share_make_heights_less_certain(capture, profile
     grid, sections, surface, views = capture
     stds = []
     for shared in (1.0, 6.0):
-        monkeypatch.setattr("treadlight.integrate.profile.shared_columns", lambda *_, k=shared: k)
+        monkeypatch.setattr("treadlight.integrate.case.shared_columns", lambda *_, k=shared: k)
         found = integrate_capture(iter(views), sections, surface, grid, 0)
         stds.append(np.median(found.r_std[:, classes(grid)[0]]))
     assert stds[1] > 1.2 * stds[0]
@@ -258,7 +258,7 @@ def test_what_a_rib_leans_after_the_first_solve_is_taken_from_its_slopes(capture
     leans = []
     for lean in (0.0, 0.05):
         monkeypatch.setattr(
-            "treadlight.integrate.profile.lean_of_ribs", lambda *_, k=lean: np.full(len(grid.z), k)
+            "treadlight.integrate.case.lean_of_ribs", lambda *_, k=lean: np.full(len(grid.z), k)
         )
         found = integrate_capture(iter(views), sections, surface, grid, 0)
         leans.append(np.median(np.diff(found.r, axis=1)[:, top[1:] & top[:-1]]) / STEP)

@@ -142,3 +142,21 @@ def test_sectors_of_a_capture_give_the_profile_of_the_whole(products, rng):
     assert 0 < np.abs(sectors.r - whole.r).max() < 0.03
     np.testing.assert_array_equal(sectors.quality, whole.quality)
     np.testing.assert_allclose(sectors.normal, whole.normal, atol=0.01)
+
+
+def test_a_sector_of_which_nothing_is_known_is_empty(products):
+    surface = store.open_store(products / "surface.zarr").load()
+    for name in ("r", "r_std"):
+        surface[name][30:] = np.nan
+    store.write_store(products / "surface.zarr", surface, title="s", source="t1-0")
+    laser = store.open_store(products / "laser.zarr").load()
+    laser["r"][7:] = np.nan
+    store.write_store(products / "laser.zarr", laser, title="l", source="t1-0")
+    settings = json.dumps({"held_out_every": 0, "sector_cells": 1})
+    assert integrate(products, "--settings", settings) == 0
+    profile = store.open_store(products / "profile.zarr").load()
+    assert np.isfinite(profile.r[:25]).all()
+    assert np.isnan(profile.r[45:]).all()
+    assert np.isnan(profile.k_d[45:]).all()
+    refused = 1 << profile.quality.attrs["flag_meanings"].split().index("refused")
+    assert (profile.quality[45:] == refused).all()

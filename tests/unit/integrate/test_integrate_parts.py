@@ -57,6 +57,29 @@ def test_a_view_beside_the_grid_gives_nothing():
     assert view_field([view_at(theta, z, (0, 0))], grid) is None
 
 
+def test_what_an_open_grid_cuts_off_a_view_counts_in_its_blend():
+    whole = CylinderGrid.sector((0.0, 0.4), (-10.0, 10.0), 0.5, 100.0)
+    theta, z = np.meshgrid(whole.theta[10:60] + 0.001, whole.z, indexing="ij")
+    view = view_at(theta, z, (0.0, 0.0))
+    complete = view_field([view], whole)
+    part = view_field([view], whole.part(np.arange(40, 80)))
+    inside = np.searchsorted(complete.rows, 40 + part.rows)
+    np.testing.assert_allclose(part.blend, complete.blend[inside], atol=1e-6)
+
+
+def test_a_view_in_blocks_is_the_view(monkeypatch):
+    grid = CylinderGrid.sector((0.0, 0.4), (-10.0, 10.0), 0.5, 100.0)
+    theta, z = np.meshgrid(grid.theta[10:60] + 0.001, grid.z, indexing="ij")
+    view = view_at(theta, z, (0.1, 0.2))
+    at_once = view_field([view], grid)
+    monkeypatch.setattr("treadlight.integrate.gather._BLOCK_PX", 3 * theta.shape[1])
+    blocks = list(view.blocks())
+    assert len(blocks) > 10
+    in_blocks = view_field(blocks, grid)
+    for name in ("rows", "slope", "variance", "material", "flags", "blend"):
+        np.testing.assert_array_equal(getattr(in_blocks, name), getattr(at_once, name))
+
+
 def test_laser_points_move_to_cell_centres_along_the_slope():
     grid = sector()
     slope = np.full((2, *grid.shape), 0.1)

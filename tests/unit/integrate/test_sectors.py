@@ -1,6 +1,7 @@
 """How a turn is cut into sectors."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +31,14 @@ def test_every_row_is_in_one_core_and_all_weights_add_up_to_one(grid, spacing, m
         np.testing.assert_allclose(np.sin(away / 2), 0, atol=1e-9)
     assert (core == 1).all()
     np.testing.assert_allclose(weight, 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("n", range(20, 90))
+def test_parts_that_come_near_the_whole_turn_keep_their_rows(n):
+    grid = CylinderGrid(-np.pi + np.arange(n) * (2 * np.pi / n), np.arange(4.0), 300.0)
+    for sector in sectors_of(grid, 5.0, 1):
+        away = sector.grid.theta - grid.theta[sector.rows]
+        np.testing.assert_allclose(np.sin(away / 2), 0, atol=1e-9)
 
 
 def test_a_grid_that_is_small_enough_is_one_sector():

@@ -88,20 +88,18 @@ def integrate_products(
         )
     if not usable:
         warnings.append("There are no normals: the profile comes from the laser alone.")
-    views = []
-    for path in usable:
-        number = int(store.store_folder(path).name.removeprefix("fov"))
-        centre = camera_centre(capture, number, rig)
-        views.append(StoredView(store.open_store(path), centre))
+    views = [stored_view(path, capture, rig) for path in usable]
     joined = integrate.Joined(grid.shape, memory.empty)
     spacing = integrate.section_spacing(sections.encoder, grid)
     sectors = list(integrate.sectors_of(grid, spacing, settings.sector_cells))
     for k, sector in enumerate(sectors):
-        seen = [v for v in views if len(sectors) == 1 or v.sees(sector.grid)]
-        place = f"sector {k + 1} of {len(sectors)}, " if len(sectors) > 1 else ""
-        told = common.progress(seen, f"{capture.id}: {place}views gathered", len(seen), 0)
-        part = store.load_rows(surface[["r", "r_std"]], sector.rows)
-        first = integrate.FirstSurface(part["r"].to_numpy(), part["r_std"].to_numpy())
+        place = f", sector {k + 1} of {len(sectors)}" if len(sectors) > 1 else ""
+        first = _first_surface(surface, sector.rows)
+        if place and not np.isfinite(first.r).any():
+            common.say(f"{capture.id}{place}: nothing is known there")
+            continue
+        seen = [view for view in views if not place or view.sees(sector.grid)]
+        told = common.progress(seen, f"{capture.id}{place}: views gathered", len(seen), 0)
         profile = integrate.integrate_capture(
             told, sections, first, sector.grid, settings.held_out_every, core=sector.core
         )
@@ -112,6 +110,14 @@ def integrate_products(
     closure = laser.attrs.get("closure_mm")
     report = integrate.quality_report(profile, regions, rig, closure, warnings)
     return _dataset(profile, surface, regions, grid, memory), report
+
+
+def _first_surface(surface: "xr.Dataset", rows: "np.ndarray") -> "integrate.FirstSurface":
+    from treadlight import store
+    from treadlight.integrate import FirstSurface
+
+    part = store.load_rows(surface[["r", "r_std"]], rows)
+    return FirstSurface(part["r"].to_numpy(), part["r_std"].to_numpy())
 
 
 def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
@@ -184,6 +190,14 @@ def view_normals(view: "xr.Dataset", camera: "np.ndarray | None") -> "integrate.
         flags["poor_fit"],
         camera,
     )
+
+
+def stored_view(path: Path, capture: "Capture", rig: "Rig") -> "StoredView":
+    """The view of a photometric.zarr/fovNN, with the centre of its camera."""
+    from treadlight import store
+
+    number = int(store.store_folder(path).name.removeprefix("fov"))
+    return StoredView(store.open_store(path), camera_centre(capture, number, rig))
 
 
 class StoredView:

@@ -9,7 +9,7 @@ coarse cells when it is their turn.
 import numpy as np
 from numba import njit, prange
 
-from treadlight.integrate.kernels import Stencil, defect_row
+from treadlight.integrate.kernels import Stencil, add_product, defect_row, neighbours
 
 _BLOCK = 16
 # Rows of the weights of a row of coarse cells: from left and right in the even row (and what
@@ -35,12 +35,6 @@ def _pick(out, row, first):
 def _add_every_other(out, row, first):
     for b in range(len(out)):
         out[b] += row[2 * b + first]
-
-
-@njit(cache=True)
-def _add_product(out, a, b):
-    for k in range(len(out)):
-        out[k] += a[k] * b[k]
 
 
 @njit(cache=True)
@@ -83,7 +77,7 @@ def _normalise(one_side, other_side, lack):
 def _along_row(stencil, i, left, right, lack):
     """Weights of an even row's odd cells; what couples to the rows around goes along the row."""
     n, m = stencil.data.shape
-    up, half, inner = i - 1 if i > 0 else n - 1, m // 2, (m - 1) // 2
+    up, half, inner = neighbours(i, n)[0], m // 2, (m - 1) // 2
     left[half:], right[half:], lack[half:] = 0, 0, 0
     left, right, lack = left[:half], right[:half], lack[:half]
     _pick(left, stencil.right[i], 0)
@@ -142,13 +136,13 @@ def _between_corners(stencil, i, weights, around):
         _add_positive(total, weights[_CORNERS + k, :half])
     _add_products(upper_left, north, weights[_LEFT], west, weights[_ABOVE])
     _add_products(lower_left, south, weights[_NEXT], west, weights[_BELOW])
-    _add_product(upper_right, north, weights[_RIGHT])
-    _add_product(upper_right[:inner], east, weights[_ABOVE, 1:])
-    _add_product(lower_right, south, weights[_NEXT + 1])
-    _add_product(lower_right[:inner], east, weights[_BELOW, 1:])
+    add_product(upper_right, north, weights[_RIGHT])
+    add_product(upper_right[:inner], east, weights[_ABOVE, 1:])
+    add_product(lower_right, south, weights[_NEXT + 1])
+    add_product(lower_right[:inner], east, weights[_BELOW, 1:])
     _add_products(lack, north, weights[_LACK], south, weights[_NEXT + 2])
-    _add_product(lack, west, weights[_LACK_COLUMN])
-    _add_product(lack[:inner], east, weights[_LACK_COLUMN, 1:])
+    add_product(lack, west, weights[_LACK_COLUMN])
+    add_product(lack[:inner], east, weights[_LACK_COLUMN, 1:])
     zero, one = total.dtype.type(0), total.dtype.type(1)
     for b in range(half):
         total[b] = one / total[b] if total[b] > zero else zero

@@ -39,12 +39,14 @@ class Stencil(NamedTuple):
 
 
 @njit(cache=True)
-def _neighbours(i, n):
+def neighbours(i, n):
+    """The rows before and after row i of a ring of n."""
     return (i - 1 if i > 0 else n - 1), (i + 1 if i < n - 1 else 0)
 
 
 @njit(cache=True)
-def _add_product(out, a, b):
+def add_product(out, a, b):
+    """out += a b."""
     for j in range(len(out)):
         out[j] += a[j] * b[j]
 
@@ -65,10 +67,10 @@ def _subtract_flow(out, coupling, here, there):
 def _vertical(stencil, x, i, value, total):
     """Add to a row's `value` its couplings to the rows around times x; `total`: its diagonal."""
     n, m = x.shape
-    up, down = _neighbours(i, n)
+    up, down = neighbours(i, n)
     right, below, above = stencil.right[i], stencil.below[i], stencil.below[up]
-    _add_product(value, below, x[down])
-    _add_product(value, above, x[up])
+    add_product(value, below, x[down])
+    add_product(value, above, x[up])
     total[:] = stencil.data[i]
     _add(total, below)
     _add(total, above)
@@ -77,10 +79,10 @@ def _vertical(stencil, x, i, value, total):
     if stencil.below_right.size:
         down_right, down_left = stencil.below_right[i], stencil.below_left[i]
         up_left, up_right = stencil.below_right[up], stencil.below_left[up]
-        _add_product(value[: m - 1], down_right[: m - 1], x[down, 1:])
-        _add_product(value[1:], down_left[1:], x[down, : m - 1])
-        _add_product(value[1:], up_left[: m - 1], x[up, : m - 1])
-        _add_product(value[: m - 1], up_right[1:], x[up, 1:])
+        add_product(value[: m - 1], down_right[: m - 1], x[down, 1:])
+        add_product(value[1:], down_left[1:], x[down, : m - 1])
+        add_product(value[1:], up_left[: m - 1], x[up, : m - 1])
+        add_product(value[: m - 1], up_right[1:], x[up, 1:])
         _add(total, down_right)
         _add(total, down_left)
         _add(total[1:], up_left[: m - 1])
@@ -166,7 +168,7 @@ def smooth(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, backward: bool) -> 
 def defect_row(stencil, x, i, out):
     """Subtract from a row's `out` (m,) its row of A x, as the flow along every coupling."""
     n, m = x.shape
-    up, down = _neighbours(i, n)
+    up, down = neighbours(i, n)
     here, above, below = x[i], x[up], x[down]
     for j in range(m):
         out[j] -= stencil.data[i, j] * here[j]

@@ -16,6 +16,7 @@ from treadlight.integrate.kernels import Stencil, advance, measure, multiply, sm
 # The ring of rows needs three coarse rows; below this many cells a dense solve costs nothing.
 _LEAST_ROWS = 6
 _COARSEST_CELLS = 128
+# Cells of a level below which one thread is done before another has begun.
 _WORTH_A_THREAD = 1 << 16
 
 
@@ -51,8 +52,8 @@ class Solver:
 
     The preconditioner is one V-cycle of black box multigrid (Dendy, 1982) with a sweep of
     Gauss-Seidel before and its adjoint after, so that it is symmetric. In the precision of the
-    system: single precision takes 40 bytes per unknown, those of the system and of the residual
-    among them.
+    system: single precision takes some 40 bytes per unknown, those of the system and of the
+    residual among them.
     """
 
     def __init__(self, system: System):

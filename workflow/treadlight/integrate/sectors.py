@@ -58,10 +58,11 @@ def sectors_of(grid: CylinderGrid, spacing: float, most_cells: int) -> Iterator[
     """
     n, m = grid.shape
     margin, faded = (round(share * spacing) for share in (_MARGIN_SECTIONS, _FADED_SECTIONS))
+    # Margins may at most double the work.
     core = max(most_cells // m - 2 * margin, 2 * margin)
     count = -(-n // core) if n * m > most_cells else 1
     bounds = np.linspace(0, n, count + 1).round().astype(int)
-    if count == 1 or bounds[1] + 2 * margin >= n:
+    if count == 1 or np.diff(bounds).max() + 2 * margin >= n:
         yield Sector(np.arange(n), grid, slice(0, n), np.ones(n, np.float32))
         return
     for first, last in pairwise(bounds):
@@ -115,7 +116,13 @@ class Joined:
         self._figures.append((part.held_out, part.laser_points, part.normal_residual))
 
     def profile(self) -> Profile:
-        """What was laid, with the figures of all sectors; normals' quantiles by their mean."""
+        """What was laid, with the figures of all sectors; normals' quantiles by their mean.
+
+        Rows of which no sector was added are empty.
+        """
+        for name, into in self._arrays.items():
+            rows = np.moveaxis(into, 0, -1) if name == "material" else into
+            rows[~self._laid] = False if name in _MASKS else np.nan
         held, points, residual = zip(*self._figures, strict=True)
         count = np.array(points, float)
         median, high = (_mean(values, count) for values in np.array(residual).T)
