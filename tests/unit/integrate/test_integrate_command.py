@@ -6,6 +6,7 @@ import xarray as xr
 
 from treadlight import store
 from treadlight.cli import main
+from treadlight.commands.integrate import StoredView
 from treadlight.geometry import CylinderGrid
 
 CAPTURE = """\
@@ -142,6 +143,25 @@ def test_sectors_of_a_capture_give_the_profile_of_the_whole(products, rng):
     assert 0 < np.abs(sectors.r - whole.r).max() < 0.03
     np.testing.assert_array_equal(sectors.quality, whole.quality)
     np.testing.assert_allclose(sectors.normal, whole.normal, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "seen"),
+    [
+        (0.1, 0.3, True),
+        (0.0, 0.05, False),
+        (0.25, 0.4, True),
+        (0.35, 0.5, False),
+        (-3.0, 0.12, True),
+    ],
+)
+def test_a_sector_takes_the_views_that_reach_into_it(products, rng, first, last, seen):
+    path = products / "fov00"
+    for turned in (0.0, 3.0):
+        write_view(products, 0, turned + 0.1, turned + 0.3, rng)
+        view = StoredView(store.open_store(path), None)
+        grid = CylinderGrid(np.linspace(first, last, 50) + turned, np.arange(5.0), 100.0)
+        assert view.sees(grid) is seen
 
 
 def test_a_sector_of_which_nothing_is_known_is_empty(products):
