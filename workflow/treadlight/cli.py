@@ -12,8 +12,8 @@ import treadlight
 from treadlight.commands.names import COMMANDS
 from treadlight.errors import ConfigError, sentence_of
 from treadlight.memory import require_address_space
+from treadlight.threads import use_cores
 
-_THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
 _PACKAGE = Path(treadlight.__file__).parent
 
 
@@ -31,10 +31,14 @@ def main(argv: list[str] | None = None) -> int:
 def _run(argv: list[str]) -> int:
     # Before a command's module loads numpy: sums by several threads depend on their number.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
     name = argv[0] if argv and argv[0] in COMMANDS else None
     options = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     _add_threads(options)
-    require_address_space(options.parse_known_args(argv)[0].threads)
+    threads = options.parse_known_args(argv)[0].threads
+    require_address_space(threads)
+    os.environ["OMP_NUM_THREADS"] = str(threads)
+    use_cores(threads)
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
     parser.add_argument("--version", action="version", version=treadlight.__version__)
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
@@ -47,24 +51,11 @@ def _run(argv: list[str]) -> int:
         module.add_arguments(sub)
         sub.set_defaults(run=module.run)
     args = parser.parse_args(argv)
-    _limit_threads(args.threads)
     return int(args.run(args) or 0)
 
 
 def _add_threads(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="cores to use")
-
-
-def _limit_threads(threads: int) -> None:
-    """Libraries read these when they are first imported, so commands import them lazily."""
-    numba = sys.modules.get("numba")
-    if numba is not None:
-        # Called from a running program, whose threads are there already: use fewer of them.
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-        return
-    for variable in _THREAD_VARIABLES:
-        os.environ[variable] = str(threads)
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
 
 
 def kernel_cache() -> Path:

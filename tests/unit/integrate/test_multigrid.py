@@ -5,6 +5,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
 
+from treadlight import threads
 from treadlight.integrate.coarsening import prolong, restrict_defect
 from treadlight.integrate.kernels import multiply, smooth
 from treadlight.integrate.multigrid import Solver, System
@@ -68,18 +69,16 @@ def test_iterations_do_not_grow_with_the_grid(rng):
 
 
 def test_the_same_heights_on_one_core_and_two(rng):
-    import numba
-
     system = weights_of_four_decades(rng, 61, 40, True)
     residual = rng.normal(size=(61, 40))
-    before = numba.get_num_threads()
+    before = threads.cores()
     found = []
     try:
-        for threads in sorted({1, before}):
-            numba.set_num_threads(threads)
+        for count in (1, 2):
+            threads.use_cores(count)
             found.append(Solver(system).solve(residual.copy(), 1e-6)[0])
     finally:
-        numba.set_num_threads(before)
+        threads.use_cores(before)
     assert all(np.array_equal(found[0], other) for other in found)
 
 

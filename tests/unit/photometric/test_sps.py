@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from treadlight import threads
 from treadlight.photometric import sps
 from treadlight.photometric.observations import FEW_LEDS, POOR_FIT
 from treadlight.photometric.sps import DISSERTATION_MISFIT, typical_misfit
@@ -189,19 +190,17 @@ def test_the_misfit_is_learned_from_the_region(analytic, rng):
 
 
 def test_the_number_of_cores_changes_no_bit(analytic, rng):
-    import numba
-
     normals, lights = analytic.tilted(rng, 2000, 0.1), analytic.two_rings()
     clean = analytic.blinn_phong(normals, lights, 0.01, 0.4, 15)
     observations = analytic.observe(clean * (1 + 0.05 * rng.standard_normal(clean.shape)), lights)
-    before = numba.get_num_threads()
+    before = threads.cores()
     found = []
     try:
-        for threads in (1, before):
-            numba.set_num_threads(threads)
+        for count in (1, 2):
+            threads.use_cores(count)
             found.append(sps(observations))
     finally:
-        numba.set_num_threads(before)
+        threads.use_cores(before)
     for name in ("normal", "alpha", "k_d", "covariance"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
 

@@ -5,10 +5,10 @@ import hashlib
 import json
 import sys
 
-import numba
 import numpy as np
 import pytest
 
+from treadlight import threads
 from treadlight.archive import find_archive, read_capture
 from treadlight.cli import main
 from treadlight.errors import ConfigError
@@ -72,13 +72,13 @@ def test_second_run_finds_all_there(archive):
 
 
 def test_one_core_and_a_resumed_run_give_the_same_bytes(archive, tmp_path):
-    cores = numba.get_num_threads()
-    numba.set_num_threads(1)
+    cores = threads.cores()
+    threads.use_cores(1)
     try:
         simulation = Simulation(SMALL)
         simulation.write("t1-00400", tmp_path, silent)
     finally:
-        numba.set_num_threads(cores)
+        threads.use_cores(cores)
     assert digests(tmp_path / "t1-00400") == digests(archive / "t1-00400")
 
 
@@ -215,7 +215,7 @@ def test_wrong_settings_are_named(wrong, names):
 
 def test_command_says_what_is_there_already(archive, capsys):
     options = ["--preset", "tiny", "--leds", "2", "--views", "1", "--sections", "6"]
-    options += ["--seed", "4", "--mileages", "100,400", "--threads", str(numba.get_num_threads())]
+    options += ["--seed", "4", "--mileages", "100,400", "--threads", str(threads.cores())]
     assert main(["simulate", str(archive), *options]) == 0
     assert "there already" in capsys.readouterr().err
     assert json.loads((archive / "simulation.json").read_text())["captures"]
@@ -234,7 +234,7 @@ def test_command_renders_and_reports_wrong_options(tmp_path, capsys):
         "--sections",
         "1",
     ]
-    options += ["--mileages", "100", "--threads", str(numba.get_num_threads())]
+    options += ["--mileages", "100", "--threads", str(threads.cores())]
     assert main(["simulate", str(tmp_path / "out"), *options]) == 0
     assert "rendering" in capsys.readouterr().err
     assert main(["simulate", str(tmp_path / "b"), "--size", "large"]) == 2

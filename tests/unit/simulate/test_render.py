@@ -1,9 +1,9 @@
 """Rendered light against formulas, and the stripe against the plane that draws it."""
 
-import numba
 import numpy as np
 import pytest
 
+from treadlight import threads
 from treadlight.simulate import kernels, laser, render
 from treadlight.simulate.rig import make_rig
 from treadlight.simulate.settings import preset
@@ -83,12 +83,12 @@ def test_bands_join_to_the_whole_image(tread):
 
 def test_images_are_the_same_on_one_core_and_on_all(tread):
     together = render.render_leds(tread, ENCODER), laser.render_laser(tread, ENCODER)
-    cores = numba.get_num_threads()
-    numba.set_num_threads(1)
+    cores = threads.cores()
+    threads.use_cores(1)
     try:
         alone = render.render_leds(tread, ENCODER), laser.render_laser(tread, ENCODER)
     finally:
-        numba.set_num_threads(cores)
+        threads.use_cores(cores)
     assert np.array_equal(together[0], alone[0])
     assert np.array_equal(together[1], alone[1])
 

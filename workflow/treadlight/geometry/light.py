@@ -7,6 +7,9 @@ import numpy as np
 from treadlight.geometry.camera import Camera
 from treadlight.geometry.plane import Plane
 from treadlight.geometry.rig import Led
+from treadlight.threads import by_ranges
+
+_LEAST_POINTS = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,10 @@ class Illumination:
         position, plane = self.leds[index].position, self.reference_plane
         matrix = self.camera.matrix
         lit = np.empty(points.size // 3)
-        irradiance(
+        by_ranges(
+            irradiance,
+            lit.size,
+            _LEAST_POINTS,
             np.ascontiguousarray(points).reshape(-1, 3),
             np.asarray(position, np.float64),
             np.asarray(plane.normal, np.float64),

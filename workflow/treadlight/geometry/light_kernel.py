@@ -4,9 +4,11 @@ import numba
 import numpy as np
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def irradiance(points, position, normal, height, intrinsics, distortion, table, step, lens, out):
-    """Irradiance at points (n, 3), into out (n,); each point on its own, so order is free.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def irradiance(
+    first, last, points, position, normal, height, intrinsics, distortion, table, step, lens, out
+):
+    """Irradiance at points first to last - 1 of (n, 3), into out (n,).
 
     `height` is the LED's signed distance from the reference plane, `intrinsics` fx, skew, cx,
     fy, cy, `table` one LED's map, `lens` the vignetting; see `Illumination.irradiance`, whose
@@ -15,7 +17,7 @@ def irradiance(points, position, normal, height, intrinsics, distortion, table, 
     fx, skew, cx, fy, cy = intrinsics
     k1, k2, p1, p2, k3 = distortion
     rows, columns = table.shape
-    for i in numba.prange(len(points)):
+    for i in range(first, last):
         dx = points[i, 0] - position[0]
         dy = points[i, 1] - position[1]
         dz = points[i, 2] - position[2]

@@ -7,11 +7,18 @@ coarse cells when it is their turn.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from treadlight.integrate.kernels import Stencil, add_product, defect_row, neighbours
+from treadlight.integrate.kernels import (
+    Stencil,
+    add_product,
+    copy,
+    defect_row,
+    least_rows,
+    neighbours,
+)
+from treadlight.threads import by_ranges
 
-_BLOCK = 16
 # Rows of the weights of a row of coarse cells: from left and right in the even row (and what
 # these lack to 1), the same in the next even row, from above and below in the odd row, and from
 # the four corners in the odd row's odd columns.
@@ -198,12 +205,12 @@ def _gather_even(weights, fine, out):
 
 @njit(cache=True)
 def _defect(stencil, x, rhs, i, out):
-    out[:] = rhs[i]
+    copy(out, rhs[i])
     defect_row(stencil, x, i, out)
 
 
-@njit(cache=True)
-def _restrict_block(stencil, x, rhs, first, last, out):
+@njit(cache=True, nogil=True)
+def _restrict(first, last, stencil, x, rhs, out):
     n, m = x.shape
     rows, columns = out.shape
     weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
@@ -227,13 +234,9 @@ def _restrict_block(stencil, x, rhs, first, last, out):
             _gather_odd(weights, fine, True, out[a + 1])
 
 
-@njit(cache=True, parallel=True)
-def restrict_defect(stencil, x, rhs, out):
-    """out = P^T (rhs - A x)."""
-    rows = len(out)
-    for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        first = np.int64(block) * _BLOCK
-        _restrict_block(stencil, x, rhs, first, min(first + _BLOCK, rows), out)
+def restrict_defect(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> None:
+    """out (N, M) = P^T (rhs - A x)."""
+    by_ranges(_restrict, len(out), least_rows(out), stencil, x, rhs, out)
 
 
 @njit(cache=True)
@@ -258,8 +261,8 @@ def _spread_odd(weights, above, below, x):
         x[2 * b + 1] += upper[b] * above[b + 1] + lower[b] * below[b + 1]
 
 
-@njit(cache=True)
-def _prolong_block(stencil, coarse, first, last, x):
+@njit(cache=True, nogil=True)
+def _prolong(first, last, stencil, coarse, x):
     rows, columns = coarse.shape
     weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
     for a in range(first, last):
@@ -270,13 +273,9 @@ def _prolong_block(stencil, coarse, first, last, x):
             _spread_odd(weights, coarse[a], coarse[below], x[2 * a + 1])
 
 
-@njit(cache=True, parallel=True)
-def prolong(stencil, coarse, x):
-    """x += P coarse."""
-    rows = len(coarse)
-    for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        first = np.int64(block) * _BLOCK
-        _prolong_block(stencil, coarse, first, min(first + _BLOCK, rows), x)
+def prolong(stencil: Stencil, coarse: np.ndarray, x: np.ndarray) -> None:
+    """x += P coarse (N, M)."""
+    by_ranges(_prolong, len(coarse), least_rows(coarse), stencil, coarse, x)
 
 
 @njit(cache=True)
@@ -403,23 +402,14 @@ def _assemble_row(stencil, a, weights, coarse, right_below, data_below):
             data_below[b + 1] += total[9]
 
 
-@njit(cache=True)
-def _assemble_block(stencil, first, last, coarse, right_below, data_below):
+@njit(cache=True, nogil=True)
+def _assemble(first, last, stencil, coarse, right_below, data_below):
     rows, columns = coarse.data.shape
     weights = np.empty((_WEIGHTS + _SCRATCH, columns), coarse.data.dtype)
     for a in range(first, last):
         down = a + 1 if a + 1 < rows else 0
         _row_weights(stencil, a, weights)
         _assemble_row(stencil, a, weights, coarse, right_below[down], data_below[down])
-
-
-@njit(cache=True, parallel=True)
-def _assemble(stencil, coarse, right_below, data_below):
-    rows = len(right_below)
-    for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        first = np.int64(block) * _BLOCK
-        last = min(first + _BLOCK, rows)
-        _assemble_block(stencil, first, last, coarse, right_below, data_below)
 
 
 def galerkin(stencil: Stencil) -> Stencil:
@@ -430,7 +420,8 @@ def galerkin(stencil: Stencil) -> Stencil:
     shape = tuple((size + 1) // 2 for size in stencil.data.shape)
     coarse = Stencil(*(np.zeros(shape, stencil.data.dtype) for _ in range(5)))
     right_below, data_below = (np.zeros(shape, stencil.data.dtype) for _ in range(2))
-    _assemble(stencil, coarse, right_below, data_below)
+    rows = least_rows(coarse.data)
+    by_ranges(_assemble, shape[0], rows, stencil, coarse, right_below, data_below)
     coarse.right[:] += right_below
     coarse.data[:] += data_below
     return coarse

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.gather import ViewField
+from treadlight.threads import by_ranges
 
 
 @dataclass(frozen=True)
@@ -110,21 +111,20 @@ def build_edges(
     step = np.zeros(slope.shape, np.float32)
     weight = np.zeros(slope.shape, np.float32)
     photometric = np.zeros(slope.shape, bool)
-    _fill(slope[0], variance[0], surface, first_step[0], first_std[0], True, grid.periodic,
-          grid.step_theta, step[0], weight[0], photometric[0])  # fmt: skip
-    _fill(slope[1], variance[1], surface, first_step[1], first_std[1], False, False,
-          grid.step_z, step[1], weight[1], photometric[1])  # fmt: skip
+    rules = (True, grid.periodic, grid.step_theta), (False, False, grid.step_z)
+    for k, rule in enumerate(rules):
+        known = slope[k], variance[k], surface, first_step[k], first_std[k]
+        by_ranges(_fill, len(surface), 1, *known, *rule, step[k], weight[k], photometric[k])
     return Edges(step, weight, photometric)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _fill(
-    slope, variance, surface, first_step, first_std, along_theta, periodic, spacing,
+    first, last, slope, variance, surface, first_step, first_std, along_theta, periodic, spacing,
     step, weight, known,
 ):  # fmt: skip
     n, m = surface.shape
-    for row in prange(n):
-        i = np.int64(row)
+    for i in range(first, last):
         for j in range(m):
             a = i + 1 if along_theta else i
             b = j if along_theta else j + 1

@@ -8,10 +8,12 @@ the compiler turns into vector instructions.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-# Rows of one block, an even number.
-_BLOCK = 32
+from treadlight.threads import by_ranges, ranges, share
+
+# Cells that are worth a thread.
+_LEAST_CELLS = 1 << 17
 
 
 class Stencil(NamedTuple):
@@ -38,10 +40,22 @@ class Stencil(NamedTuple):
     data: np.ndarray
 
 
+def least_rows(cells: np.ndarray) -> int:
+    """How many rows of a grid (n, m) are worth a thread."""
+    return max(1, _LEAST_CELLS // cells.shape[1])
+
+
 @njit(cache=True)
 def neighbours(i, n):
     """The rows before and after row i of a ring of n."""
     return (i - 1 if i > 0 else n - 1), (i + 1 if i < n - 1 else 0)
+
+
+@njit(cache=True)
+def copy(out, a):
+    """out = a; an assignment of slices compiles what raises an error first, for seconds."""
+    for j in range(len(out)):
+        out[j] = a[j]
 
 
 @njit(cache=True)
@@ -71,7 +85,7 @@ def _vertical(stencil, x, i, value, total):
     right, below, above = stencil.right[i], stencil.below[i], stencil.below[up]
     add_product(value, below, x[down])
     add_product(value, above, x[up])
-    total[:] = stencil.data[i]
+    copy(total, stencil.data[i])
     _add(total, below)
     _add(total, above)
     _add(total, right)
@@ -104,7 +118,7 @@ def _relax(right, x, value, inverse, first):
 
 @njit(cache=True)
 def _smooth_row(stencil, x, rhs, i, backward, value, inverse):
-    value[:] = rhs[i]
+    copy(value, rhs[i])
     _vertical(stencil, x, i, value, inverse)
     one = x.dtype.type(1)
     for j in range(len(inverse)):
@@ -114,15 +128,15 @@ def _smooth_row(stencil, x, rhs, i, backward, value, inverse):
     _relax(stencil.right[i], x[i], value, inverse, 0 if backward else 1)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _smooth_alone(stencil, x, rhs, i, backward):
     m = x.shape[1]
     _smooth_row(stencil, x, rhs, i, backward, np.empty(m, x.dtype), np.empty(m, x.dtype))
 
 
-@njit(cache=True)
-def _smooth_block(stencil, x, rhs, first, last, backward):
-    """Rows 2 first to 2 last - 1, less the one that waits for a row of the next block."""
+@njit(cache=True, nogil=True)
+def _smooth_pairs(first, last, stencil, x, rhs, backward):
+    """Rows 2 first to 2 last - 1, less the one that waits for a row of the next pairs."""
     value, inverse = np.empty(x.shape[1], x.dtype), np.empty(x.shape[1], x.dtype)
     for k in range(2 * first, 2 * last):
         pair, behind = k // 2, k % 2
@@ -134,32 +148,22 @@ def _smooth_block(stencil, x, rhs, first, last, backward):
         _smooth_row(stencil, x, rhs, row, backward, value, inverse)
 
 
-@njit(cache=True, parallel=True)
-def _smooth_blocks(stencil, x, rhs, pairs, backward):
-    half = _BLOCK // 2
-    blocks = (pairs + half - 1) // half
-    for block in prange(blocks):
-        first = np.int64(block) * half
-        _smooth_block(stencil, x, rhs, first, min(first + half, pairs), backward)
-    for block in prange(blocks):
-        first = np.int64(block) * half
-        row = 2 * first if backward else 2 * min(first + half, pairs) - 1
-        _smooth_alone(stencil, x, rhs, row, backward)
-
-
 def smooth(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, backward: bool) -> None:
     """One sweep of Gauss-Seidel in four colours, in place; `backward` is its adjoint.
 
     Even rows before odd ones, and in a row even columns before odd ones; backward the other way
-    round. In a block an odd row follows as soon as the even ones around it are done, so that the
-    sweep goes through the memory once. Where an odd number of rows closes to a ring, the last
-    row would touch row 0 of its own colour: it is swept by itself, after the others (backward:
-    before).
+    round. An odd row follows as soon as the even ones around it are done, so that the sweep goes
+    through the memory once; only where one core's rows end, it waits for the next one's. Where an
+    odd number of rows closes to a ring, the last row would touch row 0 of its own colour: it is
+    swept by itself, after the others (backward: before).
     """
     n = len(x)
     if n % 2 and backward:
         _smooth_alone(stencil, x, rhs, n - 1, backward)
-    _smooth_blocks(stencil, x, rhs, n // 2, backward)
+    pairs = ranges(n // 2, least_rows(x))
+    share(lambda part: _smooth_pairs(*part, stencil, x, rhs, backward), pairs)
+    for first, last in pairs:
+        _smooth_alone(stencil, x, rhs, 2 * first if backward else 2 * last - 1, backward)
     if n % 2 and not backward:
         _smooth_alone(stencil, x, rhs, n - 1, backward)
 
@@ -195,43 +199,61 @@ def _product_row(stencil, x, i, out):
     return total
 
 
-@njit(cache=True, parallel=True)
-def multiply(stencil, x, out):
-    """out = A x; returns x^T A x by rows, (n,) float64."""
-    dots = np.empty(len(x), np.float64)
-    for row in prange(len(x)):
-        i = np.int64(row)
+@njit(cache=True, nogil=True)
+def _multiply(first, last, stencil, x, out, dots):
+    for i in range(first, last):
         dots[i] = _product_row(stencil, x, i, out[i])
-    return dots
 
 
-@njit(cache=True, parallel=True)
-def measure(a, b):
-    """Inner product of two arrays by rows, and the largest magnitude in the first, (n,) float64."""
-    n, m = a.shape
-    dots, largest = np.empty(n, np.float64), np.empty(n, np.float64)
-    for i in prange(n):
+def multiply(stencil: Stencil, x: np.ndarray, out: np.ndarray) -> float:
+    """out = A x; returns x^T A x, summed by rows in double precision."""
+    dots = np.empty(len(x))
+    by_ranges(_multiply, len(x), least_rows(x), stencil, x, out, dots)
+    return float(dots.sum())
+
+
+@njit(cache=True, nogil=True)
+def _measure(first, last, a, b, dots, largest):
+    m = a.shape[1]
+    for i in range(first, last):
         total, most = 0.0, 0.0
         for j in range(m):
             total += np.float64(a[i, j]) * np.float64(b[i, j])
             most = max(most, abs(np.float64(a[i, j])))
         dots[i], largest[i] = total, most
-    return dots, largest
 
 
-@njit(cache=True, parallel=True)
-def turn(z, beta, direction):
-    """direction = z + beta direction."""
-    for i in prange(z.shape[0]):
+def measure(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """Inner product of two arrays in double precision, and the largest magnitude in the first."""
+    dots, largest = np.empty((2, len(a)))
+    by_ranges(_measure, len(a), least_rows(a), a, b, dots, largest)
+    return float(dots.sum()), float(largest.max())
+
+
+@njit(cache=True, nogil=True)
+def _turn(first, last, z, beta, direction):
+    for i in range(first, last):
         for j in range(z.shape[1]):
             direction[i, j] = z[i, j] + beta * direction[i, j]
 
 
-@njit(cache=True, parallel=True)
-def advance(x, residual, direction, product, step):
-    """x += step direction; residual -= step product."""
-    for i in prange(x.shape[0]):
+def turn(z: np.ndarray, beta: float, direction: np.ndarray) -> None:
+    """direction = z + beta direction."""
+    by_ranges(_turn, len(z), least_rows(z), z, z.dtype.type(beta), direction)
+
+
+@njit(cache=True, nogil=True)
+def _advance(first, last, x, residual, direction, product, step):
+    for i in range(first, last):
         for j in range(x.shape[1]):
             x[i, j] += step * direction[i, j]
         for j in range(x.shape[1]):
             residual[i, j] -= step * product[i, j]
+
+
+def advance(
+    x: np.ndarray, residual: np.ndarray, direction: np.ndarray, product: np.ndarray, step: float
+) -> None:
+    """x += step direction; residual -= step product."""
+    arrays = x, residual, direction, product
+    by_ranges(_advance, len(x), least_rows(x), *arrays, x.dtype.type(step))

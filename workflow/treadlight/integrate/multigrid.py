@@ -3,11 +3,8 @@
 The same heights on any number of cores: see `kernels`.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from treadlight.integrate.coarsening import galerkin, prolong, restrict_defect
@@ -16,8 +13,6 @@ from treadlight.integrate.kernels import Stencil, advance, measure, multiply, sm
 # The ring of rows needs three coarse rows; below this many cells a dense solve costs nothing.
 _LEAST_ROWS = 6
 _COARSEST_CELLS = 128
-# Cells of a level below which one thread is done before another has begun.
-_WORTH_A_THREAD = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -90,20 +85,18 @@ class Solver:
         iterations : int
         """
         stencil = self._levels[0].stencil
-        scalar = stencil.data.dtype.type
-        x, direction = np.zeros((2, *residual.shape), scalar)
+        x, direction = np.zeros((2, *residual.shape), stencil.data.dtype)
         rho_before = np.inf
         for iteration in range(max_iterations):
             z = self._cycle(residual)
-            dots, largest = measure(z, residual)
-            if largest.max() < tolerance_mm:
+            rho, largest = measure(z, residual)
+            if largest < tolerance_mm:
                 return x, iteration
-            rho = float(dots.sum())
-            turn(z, scalar(rho / rho_before), direction)
+            turn(z, rho / rho_before, direction)
             rho_before = rho
             product = z
-            energy = float(multiply(stencil, direction, product).sum())
-            advance(x, residual, direction, product, scalar(rho / energy))
+            energy = multiply(stencil, direction, product)
+            advance(x, residual, direction, product, rho / energy)
         return x, max_iterations
 
     def _cycle(self, residual: np.ndarray) -> np.ndarray:
@@ -123,25 +116,12 @@ class Solver:
         if k + 2 == len(self._levels):
             below.x[:] = self._solved(below.rhs)
         else:
-            with _threads_for(below.x.size):
-                self._correct(k + 1, below.rhs)
+            self._correct(k + 1, below.rhs)
         prolong(level.stencil, below.x, level.x)
         smooth(level.stencil, level.x, rhs, True)
 
     def _solved(self, rhs: np.ndarray) -> np.ndarray:
         return (self._coarsest @ rhs.ravel()).reshape(rhs.shape)
-
-
-@contextmanager
-def _threads_for(cells: int) -> Iterator[None]:
-    """One thread where a level is so small that handing it to others takes longer."""
-    before = numba.get_num_threads()
-    if cells < _WORTH_A_THREAD:
-        numba.set_num_threads(1)
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
 
 
 def _dense_inverse(stencil: Stencil) -> np.ndarray:

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from scipy import ndimage
 
 from treadlight.integrate.edges import Edges
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.multigrid import Solver, System
+from treadlight.threads import by_ranges
 
 # Geman-McClure scale in standard deviations of a usual edge's noise: at the scale an edge has a
 # quarter of its weight, at one standard deviation 0.92 of it.
@@ -99,17 +100,17 @@ def integrate(problem: Problem, start: np.ndarray, start_std: float, noise_std: 
 def _shares(problem: Problem, r: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     edges, laser = problem.edges, problem.laser
     share = np.empty(edges.step.shape, np.float32)
-    _edge_share(r, edges.step, edges.weight, edges.photometric, scale, (_SCALE / scale) ** 2, share)
+    known = r, edges.step, edges.weight, edges.photometric
+    by_ranges(_edge_share, len(r), 1, *known, scale, (_SCALE / scale) ** 2, share)
     miss = (laser.value - r[laser.row, laser.column]) / laser.std
     return share, 1 / np.sqrt(1 + (miss / _LASER_SCALE) ** 2)
 
 
-@njit(cache=True, parallel=True)
-def _edge_share(r, step, weight, photometric, scale, most, share):
+@njit(cache=True, nogil=True)
+def _edge_share(first, last, r, step, weight, photometric, scale, most, share):
     """Geman-McClure's weight relative to the edge's own, which counts as `most` at the most."""
     n, m = r.shape
-    for row in prange(n):
-        i = np.int64(row)
+    for i in range(first, last):
         below = i + 1 if i < n - 1 else 0
         for j in range(m):
             right = j + 1 if j < m - 1 else 0
@@ -158,14 +159,15 @@ def linear_residual(
     laser = problem.laser
     residual = problem.prior_weight * (problem.prior - r) - pull * r
     np.add.at(residual, (laser.row, laser.column), laser_share / laser.std**2 * laser.value)
-    _add_edges(system.w_theta, system.w_z, problem.edges.step, r, residual)
+    edges = system.w_theta, system.w_z, problem.edges.step
+    by_ranges(_add_edges, len(r), 1, *edges, r, residual)
     return residual.astype(np.float32)
 
 
-@njit(cache=True, parallel=True)
-def _add_edges(w_theta, w_z, step, r, residual):
+@njit(cache=True, nogil=True)
+def _add_edges(first, last, w_theta, w_z, step, r, residual):
     n, m = r.shape
-    for i in prange(n):
+    for i in range(first, last):
         up = i - 1 if i > 0 else n - 1
         down = i + 1 if i < n - 1 else 0
         for j in range(m):

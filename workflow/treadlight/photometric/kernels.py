@@ -7,7 +7,7 @@ refinement; `sps_report` says what has been found.
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.photometric import lanes
 from treadlight.photometric.lanes import (
@@ -236,12 +236,12 @@ def _lobes(v, state, refined):
     return lobes
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
 def fit_pixels(
-    intensity, lights, views, usable, noise,
+    begin, end, intensity, lights, views, usable, noise,
     algorithm, refinements, converged_rad, misfit2, prior_weight, out,
 ):  # fmt: skip
-    """Algorithm 2, 3 or 4 at every pixel.
+    """Algorithm 2, 3 or 4 at pixels begin to end - 1; begin is a multiple of PIXELS.
 
     Parameters
     ----------
@@ -257,9 +257,8 @@ def fit_pixels(
         Written here: see the column names above; NaN where there is no normal, with LEDS.
     """
     n_leds, n = intensity.shape
-    for block in prange((n + PIXELS - 1) // PIXELS):
-        first = block * PIXELS
-        last = min(first + PIXELS, n)
+    for first in range(begin, end, PIXELS):
+        last = min(first + PIXELS, end)
         r = np.empty((lanes.ROWS, n_leds, PIXELS), np.float32)
         v = np.empty((lanes.LANES, PIXELS), np.float32)
         bits = (r[PART].view(np.int32), r[Y].view(np.int32))

@@ -7,7 +7,7 @@ A block of pixels (`map_lanes`) needs some 100 KiB. A pixel takes some 20 evalua
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.photometric.map_descent import BETTER, STEP, choose, descend
 from treadlight.photometric.map_lanes import (
@@ -55,7 +55,6 @@ from treadlight.photometric.map_starts import (
 )
 
 # Pixels that one thread takes at a time.
-_RUN = 16 * LANES
 # Steps from each start, and from the best of them at each level of misfit.
 _FIRST_STEPS, _STEPS = 3, 8
 # Least misfit that the starts are given: the robust cost is flat where residuals are far beyond it.
@@ -115,9 +114,9 @@ def _start(state, start, material):
         state[ALPHA + k], state[RATIO + k] = alpha, ratio
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def fit_pixels(intensity, lights, views, usable, noise, base, material, misfit2, out):
-    """The most probable normal and material of every pixel.
+@njit(cache=True, error_model="numpy", nogil=True)
+def fit_pixels(begin, end, intensity, lights, views, usable, noise, base, material, misfit2, out):
+    """The most probable normal and material of pixels begin to end - 1.
 
     Parameters
     ----------
@@ -131,16 +130,6 @@ def fit_pixels(intensity, lights, views, usable, noise, base, material, misfit2,
     out : (n, RESULTS) float64
         Written here, in the columns of `map_report`; NaN where there is no normal, but for LEDS.
     """
-    n = intensity.shape[1]
-    for run in prange((n + _RUN - 1) // _RUN):
-        first = np.int64(run) * _RUN
-        _fit_run(intensity, lights, views, usable, noise, base, material, misfit2,
-                 first, min(n, first + _RUN), out)  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def _fit_run(intensity, lights, views, usable, noise, base, material, misfit2, begin, end, out):
-    """Blocks of pixels one after the other."""
     n_leds = intensity.shape[0]
     leds = np.empty(n_leds * LED, np.float32)
     state, best = np.zeros(STATE, np.float32), np.zeros(STATE, np.float32)

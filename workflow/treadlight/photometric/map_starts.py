@@ -115,7 +115,8 @@ def _make_dictionary(lights, view, base, material, place, normals, book):
 @njit(cache=True, error_model="numpy")
 def _serve(leds, place, waiting, served):
     """Which of the waiting lanes have their usable LEDs where the dictionary has them."""
-    served[:] = waiting
+    for k in range(LANES):
+        served[k] = waiting[k]
     for m in range(place.shape[0]):
         led = leds[m * LED : (m + 1) * LED]
         for c in range(6):

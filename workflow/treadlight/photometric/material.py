@@ -12,9 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from treadlight.photometric import map_kernels, map_report, map_starts
+from treadlight.photometric.map_lanes import LANES
 from treadlight.photometric.observations import Observations
+from treadlight.threads import by_ranges
 
 _SEARCH_PX, _LOBE_PX, _SAMPLE_PX = 256, 1024, 4096
+_LEAST_PX = 4 * LANES
 _SEARCH_ALPHA = 2.0 ** np.arange(1, 10)
 _SEARCH_RATIO = 10.0 ** np.arange(-2, 2.1, 0.5)
 # Between two trial materials of the search, in logarithms; then, before anything is known.
@@ -73,7 +76,10 @@ class Material:
 def fit(observations: Observations, material: Material) -> np.ndarray:
     """The kernel's results, (n, map_report.RESULTS) float64."""
     out = np.empty((observations.intensity.shape[1], map_report.RESULTS))
-    map_kernels.fit_pixels(
+    by_ranges(
+        map_kernels.fit_pixels,
+        len(out),
+        _LEAST_PX,
         *observations.arrays(),
         _directions(),
         material.packed,

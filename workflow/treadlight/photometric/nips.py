@@ -5,8 +5,10 @@ import numpy as np
 from treadlight.photometric import nips_kernel as kernel
 from treadlight.photometric.dps import dps
 from treadlight.photometric.observations import Estimate, Observations, estimate_of
+from treadlight.threads import by_ranges
 
 _CHUNK_PX = 1 << 16
+_LEAST_PX = 128
 
 
 def nips(observations: Observations) -> Estimate:
@@ -36,7 +38,10 @@ def nips(observations: Observations) -> Estimate:
     for first in range(0, total, _CHUNK_PX):
         part = slice(first, first + _CHUNK_PX)
         # In double precision all through, as a baseline; a chunk at a time.
-        kernel.fit_pixels(
+        by_ranges(
+            kernel.fit_pixels,
+            len(start[part]),
+            _LEAST_PX,
             np.ascontiguousarray(observations.intensity[:, part], np.float64),
             np.ascontiguousarray(observations.lights[:, part], np.float64),
             np.ascontiguousarray(observations.views[part], np.float64),

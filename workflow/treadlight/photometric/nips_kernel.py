@@ -8,7 +8,7 @@ the step.
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.photometric.lanes import ALPHA_MAX
 
@@ -20,7 +20,6 @@ _STILL = 1e-12
 # All unknowns are of order one, so damping is by the identity (Levenberg's, not Marquardt's
 # diagonal): where the gloss shows little, long first steps would end at the bounds.
 _LAMBDA, _EASE, _HARDEN, _HOPELESS = 0.1, 0.3, 5.0, 1e12
-_BLOCK = 128
 # Unknowns.
 _TILT_1, _TILT_2, _LOG_ALPHA, _KD, _KS, UNKNOWNS = range(6)
 # Columns of an LED's table: intensity, light, halfway vector, noise.
@@ -223,9 +222,9 @@ def _residual(table, count, n, x):
     return relative / bright if bright else np.nan
 
 
-@njit(cache=True, parallel=True)
-def fit_pixels(intensity, lights, views, usable, noise, start, out):
-    """The full model at every pixel.
+@njit(cache=True, nogil=True)
+def fit_pixels(begin, end, intensity, lights, views, usable, noise, start, out):
+    """The full model at pixels begin to end - 1.
 
     Parameters
     ----------
@@ -235,21 +234,19 @@ def fit_pixels(intensity, lights, views, usable, noise, start, out):
     out : (n, RESULTS) float64
         Written here: see the column names above; NaN where there is no normal.
     """
-    n_leds, pixels = intensity.shape
-    for block in prange((pixels + _BLOCK - 1) // _BLOCK):
-        table = np.zeros((n_leds, _COLUMNS))
-        matrix, gradient = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
-        frame, n, x = np.zeros((2, 3)), np.zeros(3), np.zeros(UNKNOWNS)
-        for k in range(block * _BLOCK, min(pixels, (block + 1) * _BLOCK)):
-            out[k, :] = np.nan
-            count, brightest = _gather(table, k, intensity, lights, views, usable, noise)
-            if count < UNKNOWNS or not brightest > 0 or np.isnan(start[k, 0]):
-                continue
-            n[:] = start[k]
-            _start(x)
-            cost = _fit(table, count, views[k], n, x, frame, matrix, gradient)
-            out[k, NX : NZ + 1] = n
-            out[k, KD], out[k, KS] = brightest * x[_KD], brightest * x[_KS]
-            out[k, ALPHA] = math.exp(x[_LOG_ALPHA])
-            out[k, RESIDUAL] = _residual(table, count, n, x)
-            _covariance(table, count, n, x, frame, matrix, gradient, cost, out[k])
+    table = np.zeros((len(intensity), _COLUMNS))
+    matrix, gradient = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
+    frame, n, x = np.zeros((2, 3)), np.zeros(3), np.zeros(UNKNOWNS)
+    for k in range(begin, end):
+        out[k, :] = np.nan
+        count, brightest = _gather(table, k, intensity, lights, views, usable, noise)
+        if count < UNKNOWNS or not brightest > 0 or np.isnan(start[k, 0]):
+            continue
+        n[:] = start[k]
+        _start(x)
+        cost = _fit(table, count, views[k], n, x, frame, matrix, gradient)
+        out[k, NX : NZ + 1] = n
+        out[k, KD], out[k, KS] = brightest * x[_KD], brightest * x[_KS]
+        out[k, ALPHA] = math.exp(x[_LOG_ALPHA])
+        out[k, RESIDUAL] = _residual(table, count, n, x)
+        _covariance(table, count, n, x, frame, matrix, gradient, cost, out[k])

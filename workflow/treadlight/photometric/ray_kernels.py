@@ -8,7 +8,7 @@ operations and reads some 100 cells, nearly all of which its neighbours have rea
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.photometric.height_field import atan, crossings, sample
 
@@ -17,19 +17,19 @@ BLOCKS = (8, 64)
 _MAX_STEPS = 4096
 # Heights over the surface are found to a nanometre: far less than its single precision.
 _TOLERANCE_MM, _MAX_REFINEMENTS = 1e-6, 24
-_RUN = 512
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def cast(r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell, origin, directions, found):
-    """First hits of rays, as `scene.cast` gives them, into found (n, 3)."""
-    n = len(directions)
-    for run in prange((n + _RUN - 1) // _RUN):
-        for k in range(run * _RUN, min(n, (run + 1) * _RUN)):
-            _cast_one(
-                r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell,
-                origin, directions[k], found[k],
-            )  # fmt: skip
+@njit(cache=True, nogil=True)
+def cast(
+    first, last, r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell,
+    origin, directions, found,
+):  # fmt: skip
+    """First hits of rays first to last - 1, as `scene.cast` gives them, into found (n, 3)."""
+    for k in range(first, last):
+        _cast_one(
+            r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell,
+            origin, directions[k], found[k],
+        )  # fmt: skip
 
 
 @njit(cache=True)

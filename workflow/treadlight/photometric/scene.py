@@ -17,12 +17,14 @@ import numpy as np
 
 from treadlight.geometry import CylinderGrid
 from treadlight.photometric import ray_kernels, shadow_kernels
+from treadlight.threads import by_ranges
 
 # A ray that leaves the surface flatter than this (72 degrees off its normal) is not looked for
 # beyond the seen sector: the patch reaches this many height ranges past it.
 _REACH = 3.0
 # Cells along a side of the blocks whose highest and lowest values are kept.
 _NEAR, _FAR = ray_kernels.BLOCKS
+_LEAST_RAYS, _LEAST_TILES = 1 << 12, 1 << 4
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,8 @@ def cast(patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray) -> np.
     """
     found = np.full((len(directions), 3), np.nan)
     if patch.r_max > 0.0:
-        ray_kernels.cast(
+        by_ranges(
+            ray_kernels.cast, len(directions), _LEAST_RAYS,
             patch.r, patch.tops, patch.phi_0, patch.step_phi, patch.z_0, patch.step_z,
             patch.r_min, patch.r_max, patch.step_mm,
             np.ascontiguousarray(origin, np.float64),
@@ -226,10 +229,13 @@ def lit(
     """
     out = np.zeros((len(leds), len(points)), np.bool_)
     if patch.r_max > 0.0:
-        shadow_kernels.lit(
+        width = len(points) if width is None else width
+        down, across = shadow_kernels.tiles(max(width, 1), len(points))
+        by_ranges(
+            shadow_kernels.lit, down * across, _LEAST_TILES,
             patch.r, patch.r_std, patch.obstacles, patch.crests,
             patch.phi_0, patch.step_phi, patch.z_0, patch.step_z, patch.r_max, patch.step_mm,
             np.ascontiguousarray(points, np.float64), np.ascontiguousarray(leds, np.float64),
-            len(points) if width is None else width, out,
+            max(width, 1), out,
         )  # fmt: skip
     return out

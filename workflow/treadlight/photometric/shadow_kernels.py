@@ -7,7 +7,7 @@ their way to an LED they could meet anything at all: elsewhere none of them need
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.photometric.height_field import atan, crossings, sample
 
@@ -21,19 +21,26 @@ _PARTS = _TILE_ROWS // _PART_ROWS * _ACROSS
 _MAX_STEPS = 4096
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True)
+def tiles(width, pixels):
+    """How many rows and columns of tiles there are among pixels of so many a row."""
+    rows = (pixels + width - 1) // width
+    return (rows + _TILE_ROWS - 1) // _TILE_ROWS, (width + _TILE_COLUMNS - 1) // _TILE_COLUMNS
+
+
+@njit(cache=True, nogil=True)
 def lit(
-    r, r_std, obstacles, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
+    first, last, r, r_std, obstacles, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
     points, leds, width, out,
 ):  # fmt: skip
-    """Whether LEDs reach points, as `scene.lit` gives it, into out (n_leds, n) of false."""
-    n = len(points)
-    across = (width + _TILE_COLUMNS - 1) // _TILE_COLUMNS
-    down = ((n + width - 1) // width + _TILE_ROWS - 1) // _TILE_ROWS
+    """Whether LEDs reach points, as `scene.lit` gives it, into out (n_leds, n) of false.
+
+    Of tiles first to last - 1, row by row; see `tiles`.
+    """
+    across = tiles(width, len(points))[1]
     field = (r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell)
-    for tile in prange(across * down):
-        number = np.int64(tile)
-        row, column = number // across * _TILE_ROWS, number % across * _TILE_COLUMNS
+    for tile in range(first, last):
+        row, column = tile // across * _TILE_ROWS, tile % across * _TILE_COLUMNS
         _lit_tile(field, obstacles, crests, points, leds, width, row, column, out)
 
 
@@ -44,7 +51,9 @@ def _lit_tile(field, obstacles, crests, points, leds, width, row, column, out):
     parts = np.empty((_PARTS, len(whole)))
     for part in range(_PARTS):
         v, u = row + part // _ACROSS * _PART_ROWS, column + part % _ACROSS * _PART_COLUMNS
-        parts[part] = _bounds(field, points, width, v, u, _PART_ROWS, _PART_COLUMNS)
+        bounds = _bounds(field, points, width, v, u, _PART_ROWS, _PART_COLUMNS)
+        for k in range(len(bounds)):
+            parts[part, k] = bounds[k]
     for m in range(len(leds)):
         near, far = _doubtful(field, obstacles, whole, leds[m])
         for part in range(_PARTS):

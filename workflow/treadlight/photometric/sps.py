@@ -7,10 +7,12 @@ import numpy as np
 
 from treadlight.photometric import kernels, sps_report
 from treadlight.photometric.observations import Estimate, Observations, estimate_of
+from treadlight.threads import by_ranges
 
 Algorithm = Literal[2, 3, 4]
 
 MAX_REFINEMENTS = 5
+_LEAST_PX = 16 * kernels.PIXELS
 _CONVERGED_RAD = math.radians(0.001)
 # Five parameters absorb much of a pixel's misfit, so what is left of it says little of its
 # error: the region's counts more than the pixel's sixteen or so LEDs.
@@ -83,7 +85,10 @@ def _fit(
     observations: Observations, algorithm: Algorithm, max_refinements: int, misfit: float
 ) -> np.ndarray:
     out = np.empty((observations.intensity.shape[1], sps_report.RESULTS))
-    kernels.fit_pixels(
+    by_ranges(
+        kernels.fit_pixels,
+        len(out),
+        _LEAST_PX,
         *observations.arrays(),
         algorithm,
         max_refinements,

@@ -1,15 +1,12 @@
 """Normals of one field of view: scene points, shadows, light, and specular photometric stereo."""
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numba import get_num_threads, set_num_threads
 
 from treadlight.geometry import Axis, Camera, CylinderGrid, Led
 from treadlight.geometry.axis import wrap_angle
@@ -26,9 +23,11 @@ from treadlight.photometric.observations import (
 from treadlight.photometric.settings import PhotometrySettings
 from treadlight.photometric.sps import sps, typical_misfit
 from treadlight.spool import IN_MEMORY, Memory, Spool
+from treadlight.threads import by_ranges, share
 
 # Pixels per chunk, about: keeps 16 LEDs' vectors and masks below 32 MiB a core.
 _CHUNK_PX = 1 << 16
+_LEAST_PX = 1 << 13
 _SAMPLE_PX = 20_000
 _MAD_TO_STD = 1.4826
 _POOR_SIGMAS = 3.0
@@ -139,16 +138,14 @@ def solve_view(
     maps = _empty_maps(total, memory)
 
     def solve(chunk: range) -> None:
-        # Each core has its own chunk, so that what is not compiled is shared among them too.
-        set_num_threads(1)
         pixels = np.arange(chunk.start, chunk.stop)
         counts = light[:, chunk.start : chunk.stop]
         observed, points, quality = _observe(view, patch, obstacles, pixels, counts)
         _place(maps, pixels, estimator(observed), points, quality, view.encoder)
         memory.release()
 
-    with ThreadPoolExecutor(get_num_threads()) as pool:
-        deque(pool.map(solve, _chunks(width, height)), maxlen=0)
+    # Each core has its own chunk, so that what is not compiled is shared among them too.
+    share(solve, _chunks(width, height))
     poor = _is_poor(maps.residual)
     maps.quality[poor] |= POOR_FIT
     found = _reshaped(maps, height, width)
@@ -289,7 +286,8 @@ def _observe(
         noise=np.empty(shape, np.float32),
     )
     quality = np.empty(shape[1], np.uint8)
-    view_kernels.observe(
+    by_ranges(
+        view_kernels.observe, len(points), _LEAST_PX,
         points, counts, irradiance, view.noise, lit, leds, origin,
         seen.intensity, seen.noise, seen.lights, seen.views, seen.usable, quality,
     )  # fmt: skip

@@ -6,19 +6,19 @@ A pixel and LED takes some 30 operations in double precision, and reads 13 and w
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.photometric.observations import OUTSIDE, SATURATED, SHADOWED
 
 _RUN = 512
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def observe(
-    points, counts, irradiance, dark, lit, leds, camera,
+    begin, end, points, counts, irradiance, dark, lit, leds, camera,
     intensity, noise, lights, views, usable, quality,
 ):  # fmt: skip
-    """Observations of pixels, in the local bases (r, theta, z) of their scene points.
+    """Observations of pixels begin to end - 1, in the local bases (r, theta, z) of their points.
 
     Parameters
     ----------
@@ -37,10 +37,8 @@ def observe(
     quality : (n,) uint8
         outside, shadowed, saturated; written here.
     """
-    n = len(points)
-    for run in prange((n + _RUN - 1) // _RUN):
-        first = run * _RUN
-        last = min(n, first + _RUN)
+    for first in range(begin, end, _RUN):
+        last = min(end, first + _RUN)
         cosine, sine = np.empty(last - first), np.empty(last - first)
         for k in range(first, last):
             phi = points[k, 0]

@@ -3,13 +3,14 @@
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.archive.manifest import Board
 from treadlight.geometry import Led
 from treadlight.simulate import kernels
 from treadlight.simulate.render import CARD_ALBEDO, MANY_PIXELS, beam_irradiance
 from treadlight.simulate.rig import TREAD_DISTANCE_MM, SimulatedRig, board_outline
+from treadlight.threads import by_ranges
 
 _WHITE, _BLACK = 0.8, 0.07
 _FWHM_PER_SIGMA = 2.3548200450309493
@@ -56,7 +57,9 @@ def _board(
     width, height = sim.camera.size_px
     out = np.zeros((height, width), np.float32)
     shape = np.array([*board.inner_corners, board.square_mm, *board_outline(board)[2]], float)
-    _render_board(out, _rays(out), sim.lens, pose, shape, plane, sigma, source)
+    by_ranges(
+        _render_board, len(out), 1, out, _rays(out), sim.lens, pose, shape, plane, sigma, source
+    )
     return out
 
 
@@ -72,11 +75,11 @@ def _rays(image: np.ndarray) -> np.ndarray:
     return (np.column_stack([np.arange(count), mirrored]) + 0.5) / count - 0.5
 
 
-@njit(cache=True, parallel=True)
-def _render_board(out, rays, lens, pose, shape, plane, sigma, source):
+@njit(cache=True, nogil=True)
+def _render_board(first, last, out, rays, lens, pose, shape, plane, sigma, source):
     weight = 1.0 / len(rays)
     nx, ny, square = shape[0] + 1, shape[1] + 1, shape[2]
-    for v in prange(out.shape[0]):
+    for v in range(first, last):
         for u in range(out.shape[1]):
             total = 0.0
             for sub in range(len(rays)):
@@ -133,7 +136,8 @@ def _plane_with_balls(sim: SimulatedRig, led: int, balls: np.ndarray) -> np.ndar
     lamp = np.array([*light.position, *sim.beams[led], light.intensity])
     plane = np.array([*sim.reference_plane.normal, sim.reference_plane.offset])
     rays = _rays(out) if len(balls) else np.zeros((1, 2))
-    _render_plane(out, rays, sim.lens, plane, lamp, balls, 0.5 * sim.ball_diameter_mm)
+    radius = 0.5 * sim.ball_diameter_mm
+    by_ranges(_render_plane, len(out), 1, out, rays, sim.lens, plane, lamp, balls, radius)
     return out
 
 
@@ -180,11 +184,11 @@ def _card_light(o, d, plane, lamp, balls, radius):
     return CARD_ALBEDO * nl * beam_irradiance(lamp[6], beam, d2)
 
 
-@njit(cache=True, parallel=True)
-def _render_plane(out, rays, lens, plane, lamp, balls, radius):
+@njit(cache=True, nogil=True)
+def _render_plane(first, last, out, rays, lens, plane, lamp, balls, radius):
     weight = 1.0 / len(rays)
     o = (0.0, 0.0, 0.0)
-    for v in prange(out.shape[0]):
+    for v in range(first, last):
         for u in range(out.shape[1]):
             total = 0.0
             for sub in range(len(rays)):

@@ -2,11 +2,12 @@
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.simulate import kernels
 from treadlight.simulate.render import F0, Scene, material
 from treadlight.simulate.rig import TREAD_DISTANCE_MM, SimulatedRig
+from treadlight.threads import by_ranges
 
 _FWHM_PER_SIGMA = 2.3548200450309493
 # Grain of the speckle on the tread; a pixel that holds many grains shows little of it.
@@ -31,7 +32,10 @@ def render_laser(scene: Scene, encoder_deg: float) -> np.ndarray:
     plane = np.array([*normal, sim.laser_plane.offset - normal @ shift])
     out = np.zeros((height, width), np.float32)
     field = scene.field
-    _render(
+    by_ranges(
+        _render,
+        height,
+        1,
         out,
         sim.lens,
         shift,
@@ -62,13 +66,13 @@ def _may_see_stripe(o, dx, dy, dz, meta, plane, reach):
     return min(a, b) < reach and max(a, b) > -reach
 
 
-@njit(cache=True, parallel=True)
-def _render(out, lens, o, rotation, grid, envelope, meta, plane, source, sigma, tile):
+@njit(cache=True, nogil=True)
+def _render(first, last, out, lens, o, rotation, grid, envelope, meta, plane, source, sigma, tile):
     weight = 1.0 / (_RAYS * _RAYS)
     reach = 4.5 * sigma
     # One pixel on the tread more, so that the middle ray can speak for the whole pixel.
     pixel_reach = reach + TREAD_DISTANCE_MM / lens[0]
-    for v in prange(out.shape[0]):
+    for v in range(first, last):
         for u in range(out.shape[1]):
             dx, dy, dz = kernels.ray(u, v, lens, rotation)
             if not _may_see_stripe(o, dx, dy, dz, meta, plane, pixel_reach):

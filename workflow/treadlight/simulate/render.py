@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.simulate import kernels
 from treadlight.simulate.rig import SimulatedRig
 from treadlight.simulate.settings import NOMINAL_RADIUS_MM
 from treadlight.simulate.tire import HeightField, Mounting, Tire
+from treadlight.threads import by_ranges
 
 # Inverse squares are given against this distance, so that irradiances are about 1.
 REFERENCE_DISTANCE_MM = 400.0
@@ -90,7 +91,10 @@ def render_leds(
     leds[:, 3:6] = leds[:, 3:6] @ rotation.T
     out = np.zeros((len(leds), last - first, width), np.float32)
     field = scene.field
-    _render_rows(
+    by_ranges(
+        _render_rows,
+        last - first,
+        1,
         out,
         _RAYS if width * height < MANY_PIXELS else 1,
         first,
@@ -118,10 +122,10 @@ def material(tile, theta, z, r, envelope_r):
     return albedo, roughness * roughness
 
 
-@njit(cache=True, parallel=True)
-def _render_rows(out, rays, first, lens, o, rotation, grid, envelope, meta, leds, tile):
+@njit(cache=True, nogil=True)
+def _render_rows(begin, end, out, rays, first, lens, o, rotation, grid, envelope, meta, leds, tile):
     weight = 1.0 / (rays * rays)
-    for i in prange(out.shape[1]):
+    for i in range(begin, end):
         for u in range(out.shape[2]):
             for sub in range(rays * rays):
                 su = u + (sub % rays + 0.5) / rays - 0.5

@@ -11,15 +11,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from treadlight.simulate import kernels
 from treadlight.simulate.random import stream
 from treadlight.simulate.settings import NOMINAL_RADIUS_MM
+from treadlight.threads import by_ranges
 
 HALF_WIDTH_MM = 112.0
 _TWO_PI = 2 * np.pi
 _TILE = (1024, 512)
+_LEAST_POINTS = 1 << 12
 # Texture of moulded rubber: wavelength mm, amplitude mm of the lattice noise.
 _TEXTURE = np.array([[0.9, 0.035], [2.6, 0.05], [9.0, 0.06]])
 _WEAR_BAR_MM = 1.6
@@ -140,16 +142,16 @@ class HeightField:
     def __call__(self, theta: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Radii (mm) at points of {B}; NaN where there is no tire."""
         theta, z = np.broadcast_arrays(np.asarray(theta, float), np.asarray(z, float))
-        found = _sample(self.grid, self.meta, theta.ravel(), z.ravel()).reshape(theta.shape)
-        return np.where(found > 0, found, np.nan)
+        found = np.empty(theta.size)
+        place = theta.ravel(), z.ravel()
+        by_ranges(_sample, found.size, _LEAST_POINTS, self.grid, self.meta, *place, found)
+        return np.where(found > 0, found, np.nan).reshape(theta.shape)
 
 
-@njit(cache=True, parallel=True)
-def _sample(grid, meta, theta, z):
-    out = np.empty(theta.shape[0])
-    for k in prange(theta.shape[0]):
+@njit(cache=True, nogil=True)
+def _sample(first, last, grid, meta, theta, z, out):
+    for k in range(first, last):
         out[k] = kernels.surface(grid, meta, theta[k], z[k])
-    return out
 
 
 def field_step_mm(pixel_mm: float) -> float:
@@ -181,7 +183,10 @@ def height_field(
     theta = first + step_theta * np.arange(count + (sector is not None))
     z = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM + 0.5 * step_mm, step_mm)
     grid = np.empty((len(theta), len(z)), np.float32)
-    _fill(
+    by_ranges(
+        _fill,
+        len(theta),
+        1,
         grid,
         theta,
         z,
@@ -263,11 +268,24 @@ def _groove_depth(g, wear_bars, theta, z):
     return depth
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _fill(
-    grid, theta, z, grooves, features, pitches, wear_bars, tile, runout, wear, rib_wear, texture
+    first,
+    last,
+    grid,
+    theta,
+    z,
+    grooves,
+    features,
+    pitches,
+    wear_bars,
+    tile,
+    runout,
+    wear,
+    rib_wear,
+    texture,
 ):
-    for i in prange(theta.shape[0]):
+    for i in range(first, last):
         t = theta[i] % _TWO_PI
         for j in range(z.shape[0]):
             zj = z[j]
@@ -360,13 +378,15 @@ def mounted_profile(
     (n, m) float32
         mm; NaN where there is no tire.
     """
-    return _mounted(field.grid, field.meta, mounting.rotation, mounting.shift, theta, z)
+    out = np.empty((len(theta), len(z)), np.float32)
+    source = field.grid, field.meta, mounting.rotation, mounting.shift
+    by_ranges(_mounted, len(theta), 1, *source, theta, z, out)
+    return out
 
 
-@njit(cache=True, parallel=True)
-def _mounted(grid, meta, rotation, shift, theta, z):
-    out = np.empty((theta.shape[0], z.shape[0]), np.float32)
-    for i in prange(theta.shape[0]):
+@njit(cache=True, nogil=True)
+def _mounted(first, last, grid, meta, rotation, shift, theta, z, out):
+    for i in range(first, last):
         c, s = np.cos(theta[i]), np.sin(theta[i])
         for j in range(z.shape[0]):
             r = NOMINAL_RADIUS_MM
@@ -384,4 +404,3 @@ def _mounted(grid, meta, rotation, shift, theta, z):
                 if abs(change) < 1e-5:
                     break
             out[i, j] = r if found != kernels.OUTSIDE else np.nan
-    return out

@@ -6,6 +6,7 @@ from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
 from treadlight.geometry.axis import wrap_angle
+from treadlight.threads import by_ranges
 from treadlight.wear.alignment import Alignment
 from treadlight.wear.motion import Motion
 from treadlight.wear.relief import smooth
@@ -97,7 +98,11 @@ def difference(
     steepness = np.nan_to_num(np.hypot(along, across), nan=np.inf)
     margin = [2 * round(_WALL_MARGIN_MM / side) + 1 for side in _sides_mm(grid)]
     steepness = ndimage.maximum_filter(steepness, margin, mode="nearest")
-    variance = _alignment_variance(
+    variance = np.empty(grid.shape)
+    by_ranges(
+        _alignment_variance,
+        grid.shape[0],
+        1,
         grid.theta,
         grid.z,
         np.nan_to_num(slopes[0][0]),
@@ -105,6 +110,7 @@ def difference(
         float(alignment.motion.values[0]),
         grid.nominal_radius_mm,
         alignment.covariance,
+        variance,
     )
     cells = np.square(_sides_mm(grid)) / 12
     # Twice: either surface's wall sits on its own cell.
@@ -118,13 +124,12 @@ def _sides_mm(grid: CylinderGrid) -> tuple[float, float]:
     return grid.step_theta * grid.nominal_radius_mm, grid.step_z
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _alignment_variance(
-    theta, z, slope_theta, slope_z, rotation, radius, covariance
+    first, last, theta, z, slope_theta, slope_z, rotation, radius, covariance, variance
 ):  # pragma: no cover - compiled
     """Variance of r' at equal (theta, z) from the motion's covariance; see Motion.jacobian."""
-    variance = np.empty(slope_theta.shape)
-    for i in numba.prange(theta.size):
+    for i in range(first, last):
         cos, sin = np.cos(theta[i]), np.sin(theta[i])
         cos_0, sin_0 = np.cos(theta[i] - rotation), np.sin(theta[i] - rotation)
         row = np.empty(7)
@@ -142,4 +147,3 @@ def _alignment_variance(
                 for b in range(7):
                     total += row[a] * covariance[a, b] * row[b]
             variance[i, j] = total
-    return variance

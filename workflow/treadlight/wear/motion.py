@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from treadlight.geometry.axis import wrap_angle
+from treadlight.threads import by_ranges
 
 PARAMETERS = (
     "rotation_rad",
@@ -99,15 +100,28 @@ class Motion:
         return np.stack(d_theta, axis=-1), np.stack(d_z, axis=-1), np.stack(d_r, axis=-1)
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True)
 def _resample(
-    source, source_std, theta_0, step_theta, z_0, step_z, theta, z, start, matrix, shift, radial
+    first,
+    last,
+    source,
+    source_std,
+    theta_0,
+    step_theta,
+    z_0,
+    step_z,
+    theta,
+    z,
+    start,
+    matrix,
+    shift,
+    radial,
+    moved,
+    moved_std,
 ):  # pragma: no cover - compiled
     rows = source.shape[0]
     middle = theta_0 + 0.5 * (rows - 1) * step_theta
-    moved = np.full((theta.size, z.size), np.nan, np.float32)
-    moved_std = np.full((theta.size, z.size), np.nan, np.float32)
-    for i in numba.prange(theta.size):
+    for i in range(first, last):
         cos, sin = np.cos(theta[i]), np.sin(theta[i])
         for j in range(z.size):
             radius = start[j]
@@ -131,7 +145,6 @@ def _resample(
             else:
                 moved[i, j] = radius
                 moved_std[i, j] = _linear(source_std, row, column)
-    return moved, moved_std
 
 
 @numba.njit(cache=True)
@@ -212,7 +225,11 @@ def resample(
     """
     step_theta = (source_theta[-1] - source_theta[0]) / (len(source_theta) - 1)
     step_z = (source_z[-1] - source_z[0]) / (len(source_z) - 1)
-    return _resample(
+    moved, moved_std = np.full((2, len(theta), len(z)), np.nan, np.float32)
+    by_ranges(
+        _resample,
+        len(theta),
+        1,
         np.ascontiguousarray(source, np.float32),
         np.ascontiguousarray(source_std, np.float32),
         float(source_theta[0]),
@@ -225,4 +242,7 @@ def resample(
         motion.matrix,
         motion.shift,
         float(motion.values[6]),
+        moved,
+        moved_std,
     )
+    return moved, moved_std
