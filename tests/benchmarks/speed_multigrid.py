@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.fft
-from numba import get_num_threads
 
 from treadlight import integrate, store
 from treadlight.archive import read_capture
@@ -25,6 +24,7 @@ from treadlight.commands import integrate as stage
 from treadlight.integrate.case import prepare
 from treadlight.integrate.multigrid import Solver, System
 from treadlight.integrate.solve import Problem, linear_residual, weighted_system
+from treadlight.threads import cores
 
 TOLERANCE_MM = 1e-3
 MOST_ITERATIONS = 1000
@@ -119,7 +119,7 @@ def main() -> None:
             f" | {row['bytes_per_unknown']} |",
             flush=True,
         )
-    print(json.dumps({"cores": get_num_threads(), "solves": rows}, separators=(",", ":")))
+    print(json.dumps({"cores": cores(), "solves": rows}, separators=(",", ":")))
 
 
 if __name__ == "__main__":

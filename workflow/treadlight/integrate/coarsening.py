@@ -1,9 +1,10 @@
-"""Operator-dependent transfer between grids (Dendy, "Black box multigrid", 1982).
+"""Operator-dependent transfer between grids, after black box multigrid (Dendy, 1982).
 
-Coarse cell (a, b) is fine cell (2 a, 2 b). The values between are interpolated by the fine matrix
-itself, so that a correction bends where the matrix does: nothing is interpolated across a step.
-The weights take less time to compute than to read: they are nowhere kept, but made for a row of
-coarse cells when it is their turn.
+Coarse cell (a, b) is fine cell (2 a, 2 b). Between two of them along theta, and in the odd columns
+between the even ones, the values are interpolated by the fine matrix itself, so that a correction
+bends where the matrix does: nothing is interpolated across a step. An odd column follows its
+neighbours as a whole, as it does where it is relaxed; Dendy's weights, each from its own row,
+tear a strip of cells that is cut off on both sides.
 """
 
 import numpy as np
@@ -13,9 +14,9 @@ from treadlight.integrate.kernels import (
     Stencil,
     add_product,
     copy,
-    defect_row,
     least_rows,
     neighbours,
+    ring_of,
 )
 from treadlight.threads import by_ranges
 
@@ -28,7 +29,8 @@ _ABOVE, _BELOW, _LACK_COLUMN = 6, 7, 8
 _CORNERS = 9
 _LACK_CORNERS = 13
 _WEIGHTS = 14
-_SCRATCH = 5
+# Fewer columns at a time would read the memory in pieces too short.
+_LEAST_COLUMNS = 64
 
 
 @njit(cache=True)
@@ -45,24 +47,11 @@ def _add_every_other(out, row, first):
 
 
 @njit(cache=True)
-def _add_products(out, a, b, c, d):
-    for k in range(len(out)):
-        out[k] += a[k] * b[k] + c[k] * d[k]
-
-
-@njit(cache=True)
 def _keep_positive(row):
     """Coarse couplings may be negative, and cancel others: they do not count in the weights."""
     zero = row.dtype.type(0)
     for b in range(len(row)):
         row[b] = max(row[b], zero)
-
-
-@njit(cache=True)
-def _add_positive(total, row):
-    _keep_positive(row)
-    for b in range(len(total)):
-        total[b] += row[b]
 
 
 @njit(cache=True)
@@ -78,24 +67,6 @@ def _normalise(one_side, other_side, lack):
         one_side[b] *= share
         other_side[b] *= share
         lack[b] *= share
-
-
-@njit(cache=True)
-def _along_row(stencil, i, left, right, lack):
-    """Weights of an even row's odd cells; what couples to the rows around goes along the row."""
-    n, m = stencil.data.shape
-    up, half, inner = neighbours(i, n)[0], m // 2, (m - 1) // 2
-    left[half:], right[half:], lack[half:] = 0, 0, 0
-    left, right, lack = left[:half], right[:half], lack[:half]
-    _pick(left, stencil.right[i], 0)
-    _pick(right, stencil.right[i], 1)
-    _pick(lack, stencil.data[i], 1)
-    if stencil.below_right.size:
-        _add_every_other(left, stencil.below_right[up], 0)
-        _add_every_other(left, stencil.below_left[i], 1)
-        _add_every_other(right, stencil.below_right[i], 1)
-        _add_every_other(right[:inner], stencil.below_left[up], 2)
-    _normalise(left, right, lack)
 
 
 @njit(cache=True)
@@ -115,167 +86,175 @@ def _along_column(stencil, i, above, below, lack):
 
 
 @njit(cache=True)
-def _between_corners(stencil, i, weights, around):
-    """Weights of an odd row's odd cells, through the cells around them; `around` is scratch."""
-    m = stencil.data.shape[1]
-    half, inner = m // 2, (m - 1) // 2
-    weights[_CORNERS:] = 0
-    north, south, west, east, total = (
-        around[0, :half], around[1, :half], around[2, :half], around[3, :half], around[4, :half],
-    )  # fmt: skip
-    upper_left, upper_right = weights[_CORNERS, :half], weights[_CORNERS + 1, :half]
-    lower_left, lower_right = weights[_CORNERS + 2, :half], weights[_CORNERS + 3, :half]
-    lack = weights[_LACK_CORNERS, :half]
-    _pick(north, stencil.below[i - 1], 1)
-    _pick(south, stencil.below[i], 1)
-    _pick(west, stencil.right[i], 0)
-    _pick(east, stencil.right[i], 1)
-    _pick(lack, stencil.data[i], 1)
+def _defect_even(stencil, x, rhs, i, out):
+    """A row of rhs - A x in the even columns, as the flow along every coupling."""
+    n, m = x.shape
+    up, down = neighbours(i, n)
+    here, above, below = x[i], x[up], x[down]
+    right = stencil.right[i]
+    for b in range(len(out)):
+        j = 2 * b
+        flow = stencil.data[i, j] * here[j]
+        flow += stencil.below[i, j] * (here[j] - below[j])
+        flow += stencil.below[up, j] * (here[j] - above[j])
+        out[b] = rhs[i, j] - flow
+    for b in range(m // 2):
+        j = 2 * b
+        out[b] -= right[j] * (here[j] - here[j + 1])
+    for b in range(1, len(out)):
+        j = 2 * b
+        out[b] -= right[j - 1] * (here[j] - here[j - 1])
     if stencil.below_right.size:
-        _pick(upper_left, stencil.below_right[i - 1], 0)
-        _pick(upper_right[:inner], stencil.below_left[i - 1], 2)
-        _pick(lower_left, stencil.below_left[i], 1)
-        _pick(lower_right, stencil.below_right[i], 1)
-    total[:] = 0
-    for k in range(4):
-        _add_positive(total, around[k, :half])
-    for k in range(5):
-        _add_positive(total, weights[_CORNERS + k, :half])
-    _add_products(upper_left, north, weights[_LEFT], west, weights[_ABOVE])
-    _add_products(lower_left, south, weights[_NEXT], west, weights[_BELOW])
-    add_product(upper_right, north, weights[_RIGHT])
-    add_product(upper_right[:inner], east, weights[_ABOVE, 1:])
-    add_product(lower_right, south, weights[_NEXT + 1])
-    add_product(lower_right[:inner], east, weights[_BELOW, 1:])
-    _add_products(lack, north, weights[_LACK], south, weights[_NEXT + 2])
-    add_product(lack, west, weights[_LACK_COLUMN])
-    add_product(lack[:inner], east, weights[_LACK_COLUMN, 1:])
-    zero, one = total.dtype.type(0), total.dtype.type(1)
-    for b in range(half):
-        total[b] = one / total[b] if total[b] > zero else zero
-    for k in range(5):
-        corner = weights[_CORNERS + k]
-        for b in range(half):
-            corner[b] *= total[b]
-
-
-@njit(cache=True)
-def _row_weights(stencil, a, weights):
-    """The weights (14, M) of coarse row a, and scratch (5, M) behind them."""
-    n = stencil.data.shape[0]
-    i, rows = 2 * a, (n + 1) // 2
-    _along_row(stencil, i, weights[_LEFT], weights[_RIGHT], weights[_LACK])
-    below = i + 2 if a + 1 < rows else 0
-    _along_row(stencil, below, weights[_NEXT], weights[_NEXT + 1], weights[_NEXT + 2])
-    if i + 1 == n:
-        weights[_ABOVE:] = 0
-        return
-    _along_column(stencil, i + 1, weights[_ABOVE], weights[_BELOW], weights[_LACK_COLUMN])
-    _between_corners(stencil, i + 1, weights[:_WEIGHTS], weights[_WEIGHTS:])
-
-
-@njit(cache=True)
-def _gather_odd(weights, fine, below, out):
-    """Add to coarse row `out` what an odd row of the fine grid hands to the coarse row above it.
-
-    Or, with `below`, to the one below.
-    """
-    column = weights[_BELOW if below else _ABOVE]
-    left = weights[_CORNERS + (2 if below else 0)]
-    right = weights[_CORNERS + (3 if below else 1)]
-    columns, m = len(out), len(fine)
-    for b in range(columns):
-        out[b] += column[b] * fine[2 * b]
-    for b in range(m // 2):
-        out[b] += left[b] * fine[2 * b + 1]
-    for b in range(columns - 1):
-        out[b + 1] += right[b] * fine[2 * b + 1]
-
-
-@njit(cache=True)
-def _gather_even(weights, fine, out):
-    columns, m = len(out), len(fine)
-    for b in range(columns):
-        out[b] += fine[2 * b]
-    for b in range(m // 2):
-        out[b] += weights[_LEFT, b] * fine[2 * b + 1]
-    for b in range(columns - 1):
-        out[b + 1] += weights[_RIGHT, b] * fine[2 * b + 1]
-
-
-@njit(cache=True)
-def _defect(stencil, x, rhs, i, out):
-    copy(out, rhs[i])
-    defect_row(stencil, x, i, out)
+        lower, upper = stencil.below_right[i], stencil.below_left[up]
+        for b in range(m // 2):
+            j = 2 * b
+            out[b] -= lower[j] * (here[j] - below[j + 1])
+            out[b] -= upper[j + 1] * (here[j] - above[j + 1])
+        lower, upper = stencil.below_left[i], stencil.below_right[up]
+        for b in range(1, len(out)):
+            j = 2 * b
+            out[b] -= lower[j] * (here[j] - below[j - 1])
+            out[b] -= upper[j - 1] * (here[j] - above[j - 1])
 
 
 @njit(cache=True, nogil=True)
 def _restrict(first, last, stencil, x, rhs, out):
-    n, m = x.shape
-    rows, columns = out.shape
-    weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
-    fine = np.empty(m, x.dtype)
-    out[first] = 0
-    before = first - 1 if first > 0 else rows - 1
-    if 2 * before + 1 < n:
-        _row_weights(stencil, before, weights)
-        _defect(stencil, x, rhs, 2 * before + 1, fine)
-        _gather_odd(weights, fine, True, out[first])
-    for i in range(2 * first, min(2 * last, n)):
-        a = i // 2
-        _defect(stencil, x, rhs, i, fine)
-        if i % 2 == 0:
-            _row_weights(stencil, a, weights)
-            _gather_even(weights, fine, out[a])
-        else:
-            _gather_odd(weights, fine, False, out[a])
-        if i % 2 == 1 and a + 1 < last:
-            out[a + 1] = 0
-            _gather_odd(weights, fine, True, out[a + 1])
+    n, rows, columns = len(x), len(out), out.shape[1]
+    above, below, lack = np.empty((3, columns), x.dtype)
+    fine = np.empty(columns, x.dtype)
+    for a in range(first, last):
+        _defect_even(stencil, x, rhs, 2 * a, out[a])
+        before = 2 * a - 1 if a > 0 else 2 * rows - 1
+        if before < n:
+            _along_column(stencil, before, above, below, lack)
+            _defect_even(stencil, x, rhs, before, fine)
+            add_product(out[a], below, fine)
+        if 2 * a + 1 < n:
+            _along_column(stencil, 2 * a + 1, above, below, lack)
+            _defect_even(stencil, x, rhs, 2 * a + 1, fine)
+            add_product(out[a], above, fine)
 
 
 def restrict_defect(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> None:
-    """out (N, M) = P^T (rhs - A x)."""
+    """out (N, M) = P^T (rhs - A x), where odd columns are solved: they have no defect."""
     by_ranges(_restrict, len(out), least_rows(out), stencil, x, rhs, out)
-
-
-@njit(cache=True)
-def _spread_even(weights, coarse, x):
-    for b in range(len(coarse)):
-        x[2 * b] += coarse[b]
-    for b in range(len(x) // 2):
-        x[2 * b + 1] += weights[_LEFT, b] * coarse[b]
-    for b in range(len(coarse) - 1):
-        x[2 * b + 1] += weights[_RIGHT, b] * coarse[b + 1]
-
-
-@njit(cache=True)
-def _spread_odd(weights, above, below, x):
-    for b in range(len(above)):
-        x[2 * b] += weights[_ABOVE, b] * above[b] + weights[_BELOW, b] * below[b]
-    upper, lower = weights[_CORNERS], weights[_CORNERS + 2]
-    for b in range(len(x) // 2):
-        x[2 * b + 1] += upper[b] * above[b] + lower[b] * below[b]
-    upper, lower = weights[_CORNERS + 1], weights[_CORNERS + 3]
-    for b in range(len(above) - 1):
-        x[2 * b + 1] += upper[b] * above[b + 1] + lower[b] * below[b + 1]
 
 
 @njit(cache=True, nogil=True)
 def _prolong(first, last, stencil, coarse, x):
     rows, columns = coarse.shape
-    weights = np.empty((_WEIGHTS + _SCRATCH, columns), x.dtype)
+    above, below, lack = np.empty((3, columns), x.dtype)
     for a in range(first, last):
-        _row_weights(stencil, a, weights)
-        _spread_even(weights, coarse[a], x[2 * a])
+        for b in range(columns):
+            x[2 * a, 2 * b] += coarse[a, b]
         if 2 * a + 1 < len(x):
-            below = a + 1 if a + 1 < rows else 0
-            _spread_odd(weights, coarse[a], coarse[below], x[2 * a + 1])
+            _along_column(stencil, 2 * a + 1, above, below, lack)
+            low = coarse[a + 1 if a + 1 < rows else 0]
+            for b in range(columns):
+                x[2 * a + 1, 2 * b] += above[b] * coarse[a, b] + below[b] * low[b]
 
 
 def prolong(stencil: Stencil, coarse: np.ndarray, x: np.ndarray) -> None:
-    """x += P coarse (N, M)."""
+    """x += P coarse (N, M) in the even columns; the odd ones follow when they are solved."""
     by_ranges(_prolong, len(coarse), least_rows(coarse), stencil, coarse, x)
+
+
+@njit(cache=True)
+def _sides(stencil, i, first, last, left, right, lack):
+    """What the odd cells of a row are coupled to in the columns beside them, and their data."""
+    n, m = stencil.data.shape
+    up, end = neighbours(i, n)[0], min(last, (m - 1) // 2)
+    for k in range(first, last):
+        j = 2 * k + 1
+        left[k], right[k] = stencil.right[i, j - 1], stencil.right[i, j]
+        lack[k] = stencil.data[i, j]
+    if stencil.below_right.size:
+        for k in range(first, last):
+            j = 2 * k + 1
+            left[k] += stencil.below_left[i, j] + stencil.below_right[up, j - 1]
+            right[k] += stencil.below_right[i, j]
+        for k in range(first, end):
+            right[k] += stencil.below_left[up, 2 * k + 2]
+
+
+@njit(cache=True, nogil=True)
+def _respond(first, last, stencil, left, right, lack, follow):
+    """Columns 2 first + 1 to 2 last - 1 of `respond`, as `kernels.relax_lines` solves them."""
+    n, columns = left.shape
+    zero, one = left.dtype.type(0), left.dtype.type(1)
+    excess = np.zeros(columns, left.dtype)
+    for i in range(n):
+        _sides(stencil, i, first, last, left[i], right[i], lack[i])
+        for k in range(first, last):
+            total = left[i, k] + right[i, k] + lack[i, k]
+            if i > 0:
+                coupling = stencil.below[i - 1, 2 * k + 1]
+                total += coupling * excess[k]
+                left[i, k] += coupling * left[i - 1, k]
+                right[i, k] += coupling * right[i - 1, k]
+                lack[i, k] += coupling * lack[i - 1, k]
+            coupling = stencil.below[i, 2 * k + 1] if i + 1 < n else zero
+            pivot = total + coupling
+            share = one / pivot if pivot > zero else zero
+            left[i, k] *= share
+            right[i, k] *= share
+            lack[i, k] *= share
+            follow[i, k] = coupling * share
+            excess[k] = total * share
+    for i in range(n - 2, -1, -1):
+        for k in range(first, last):
+            left[i, k] += follow[i, k] * left[i + 1, k]
+            right[i, k] += follow[i, k] * right[i + 1, k]
+            lack[i, k] += follow[i, k] * lack[i + 1, k]
+
+
+def respond(stencil: Stencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How odd columns follow where the columns to their left, or right, rise by one.
+
+    Returns
+    -------
+    left, right, lack : (n, m // 2) float
+        By how much; and what these lack to one, which the data hold.
+    """
+    n, m = stencil.data.shape
+    left, right, lack, follow = np.empty((4, n, m // 2), stencil.data.dtype)
+    least = max(_LEAST_COLUMNS, least_rows(left.T))
+    by_ranges(_respond, m // 2, least, stencil, left, right, lack, follow)
+    if ring := ring_of(stencil):
+        for weights in (left, right, lack):
+            ring.close(weights)
+    return left, right, lack
+
+
+@njit(cache=True)
+def _corners(weights, left, right, lack):
+    """Weights of an odd row's odd cells: as they follow the even ones beside them."""
+    half, inner = len(left), min(len(left), weights.shape[1] - 1)
+    above, below, lacking = weights[_ABOVE], weights[_BELOW], weights[_LACK_COLUMN]
+    for b in range(half):
+        weights[_CORNERS, b] = left[b] * above[b]
+        weights[_CORNERS + 2, b] = left[b] * below[b]
+        weights[_LACK_CORNERS, b] = lack[b] + left[b] * lacking[b]
+    for b in range(inner):
+        weights[_CORNERS + 1, b] = right[b] * above[b + 1]
+        weights[_CORNERS + 3, b] = right[b] * below[b + 1]
+        weights[_LACK_CORNERS, b] += right[b] * lacking[b + 1]
+
+
+@njit(cache=True)
+def _row_weights(stencil, left, right, lack, a, weights):
+    """The weights (14, M) of coarse row a, from how odd columns follow."""
+    n, half = left.shape
+    i, rows = 2 * a, (n + 1) // 2
+    below = i + 2 if a + 1 < rows else 0
+    weights[:] = 0
+    for k, row in enumerate((i, below)):
+        copy(weights[_NEXT * k, :half], left[row])
+        copy(weights[_NEXT * k + 1, :half], right[row])
+        copy(weights[_NEXT * k + 2, :half], lack[row])
+    if i + 1 < n:
+        _along_column(stencil, i + 1, weights[_ABOVE], weights[_BELOW], weights[_LACK_COLUMN])
+        _corners(weights, left[i + 1], right[i + 1], lack[i + 1])
 
 
 @njit(cache=True)
@@ -403,12 +382,12 @@ def _assemble_row(stencil, a, weights, coarse, right_below, data_below):
 
 
 @njit(cache=True, nogil=True)
-def _assemble(first, last, stencil, coarse, right_below, data_below):
+def _assemble(first, last, stencil, left, right, lack, coarse, right_below, data_below):
     rows, columns = coarse.data.shape
-    weights = np.empty((_WEIGHTS + _SCRATCH, columns), coarse.data.dtype)
+    weights = np.empty((_WEIGHTS, columns), coarse.data.dtype)
     for a in range(first, last):
         down = a + 1 if a + 1 < rows else 0
-        _row_weights(stencil, a, weights)
+        _row_weights(stencil, left, right, lack, a, weights)
         _assemble_row(stencil, a, weights, coarse, right_below[down], data_below[down])
 
 
@@ -421,7 +400,9 @@ def galerkin(stencil: Stencil) -> Stencil:
     coarse = Stencil(*(np.zeros(shape, stencil.data.dtype) for _ in range(5)))
     right_below, data_below = (np.zeros(shape, stencil.data.dtype) for _ in range(2))
     rows = least_rows(coarse.data)
-    by_ranges(_assemble, shape[0], rows, stencil, coarse, right_below, data_below)
+    by_ranges(
+        _assemble, shape[0], rows, stencil, *respond(stencil), coarse, right_below, data_below
+    )
     coarse.right[:] += right_below
     coarse.data[:] += data_below
     return coarse

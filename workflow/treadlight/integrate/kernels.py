@@ -14,6 +14,8 @@ from treadlight.threads import by_ranges, ranges, share
 
 # Cells that are worth a thread.
 _LEAST_CELLS = 1 << 17
+# Fewer columns at a time would read the memory in pieces too short.
+_LEAST_COLUMNS = 64
 
 
 class Stencil(NamedTuple):
@@ -66,78 +68,68 @@ def add_product(out, a, b):
 
 
 @njit(cache=True)
-def _add(out, a):
-    for j in range(len(out)):
-        out[j] += a[j]
-
-
-@njit(cache=True)
 def _subtract_flow(out, coupling, here, there):
     for j in range(len(out)):
         out[j] -= coupling[j] * (here[j] - there[j])
 
 
 @njit(cache=True)
-def _vertical(stencil, x, i, value, total):
-    """Add to a row's `value` its couplings to the rows around times x; `total`: its diagonal."""
+def _add_sides(stencil, x, i, odd, first, last, value, total):
+    """What a row's even, or odd, cells are coupled to in the columns beside them.
+
+    Added to `value`: couplings times x; to `total`: couplings; of cells first to last - 1.
+    """
     n, m = x.shape
     up, down = neighbours(i, n)
-    right, below, above = stencil.right[i], stencil.below[i], stencil.below[up]
-    add_product(value, below, x[down])
-    add_product(value, above, x[up])
-    copy(total, stencil.data[i])
-    _add(total, below)
-    _add(total, above)
-    _add(total, right)
-    _add(total[1:], right[: m - 1])
+    # From here on cells have a column to their left, up to there one to their right.
+    begin, end = max(first, 1 - odd), min(last, (m - odd) // 2)
+    right = stencil.right[i]
+    for k in range(begin, last):
+        j = 2 * k + odd - 1
+        value[k] += right[j] * x[i, j]
+        total[k] += right[j]
+    for k in range(first, end):
+        j = 2 * k + odd
+        value[k] += right[j] * x[i, j + 1]
+        total[k] += right[j]
     if stencil.below_right.size:
-        down_right, down_left = stencil.below_right[i], stencil.below_left[i]
-        up_left, up_right = stencil.below_right[up], stencil.below_left[up]
-        add_product(value[: m - 1], down_right[: m - 1], x[down, 1:])
-        add_product(value[1:], down_left[1:], x[down, : m - 1])
-        add_product(value[1:], up_left[: m - 1], x[up, : m - 1])
-        add_product(value[: m - 1], up_right[1:], x[up, 1:])
-        _add(total, down_right)
-        _add(total, down_left)
-        _add(total[1:], up_left[: m - 1])
-        _add(total[: m - 1], up_right[1:])
+        lower_left, upper_left = stencil.below_left[i], stencil.below_right[up]
+        for k in range(begin, last):
+            j = 2 * k + odd
+            value[k] += lower_left[j] * x[down, j - 1] + upper_left[j - 1] * x[up, j - 1]
+            total[k] += lower_left[j] + upper_left[j - 1]
+        lower_right, upper_right = stencil.below_right[i], stencil.below_left[up]
+        for k in range(first, end):
+            j = 2 * k + odd
+            value[k] += lower_right[j] * x[down, j + 1] + upper_right[j + 1] * x[up, j + 1]
+            total[k] += lower_right[j] + upper_right[j + 1]
 
 
 @njit(cache=True)
-def _relax(right, x, value, inverse, first):
-    """Gauss-Seidel on every other cell of a row, from column `first` on."""
-    m = len(x)
-    for j in range(first, m, 2):
-        around = value[j]
-        if j + 1 < m:
-            around += right[j] * x[j + 1]
-        if j > 0:
-            around += right[j - 1] * x[j - 1]
-        x[j] = around * inverse[j]
-
-
-@njit(cache=True)
-def _smooth_row(stencil, x, rhs, i, backward, value, inverse):
-    copy(value, rhs[i])
-    _vertical(stencil, x, i, value, inverse)
-    one = x.dtype.type(1)
-    for j in range(len(inverse)):
-        total = inverse[j]
-        inverse[j] = one / total if total > 0 else one - one
-    _relax(stencil.right[i], x[i], value, inverse, 1 if backward else 0)
-    _relax(stencil.right[i], x[i], value, inverse, 0 if backward else 1)
+def _relax_row(stencil, x, rhs, i, value, total):
+    """Gauss-Seidel on the even cells of a row, which are not coupled to each other."""
+    up, down = neighbours(i, len(x))
+    below, above = stencil.below[i], stencil.below[up]
+    zero, one = x.dtype.type(0), x.dtype.type(1)
+    for k in range(len(value)):
+        j = 2 * k
+        value[k] = rhs[i, j] + below[j] * x[down, j] + above[j] * x[up, j]
+        total[k] = stencil.data[i, j] + below[j] + above[j]
+    _add_sides(stencil, x, i, 0, 0, len(value), value, total)
+    for k in range(len(value)):
+        x[i, 2 * k] = value[k] * (one / total[k] if total[k] > zero else zero)
 
 
 @njit(cache=True, nogil=True)
-def _smooth_alone(stencil, x, rhs, i, backward):
-    m = x.shape[1]
-    _smooth_row(stencil, x, rhs, i, backward, np.empty(m, x.dtype), np.empty(m, x.dtype))
+def _relax_alone(stencil, x, rhs, i):
+    value, total = np.empty((2, (x.shape[1] + 1) // 2), x.dtype)
+    _relax_row(stencil, x, rhs, i, value, total)
 
 
 @njit(cache=True, nogil=True)
-def _smooth_pairs(first, last, stencil, x, rhs, backward):
+def _relax_pairs(first, last, stencil, x, rhs, backward):
     """Rows 2 first to 2 last - 1, less the one that waits for a row of the next pairs."""
-    value, inverse = np.empty(x.shape[1], x.dtype), np.empty(x.shape[1], x.dtype)
+    value, total = np.empty((2, (x.shape[1] + 1) // 2), x.dtype)
     for k in range(2 * first, 2 * last):
         pair, behind = k // 2, k % 2
         if behind and pair == first:
@@ -145,27 +137,130 @@ def _smooth_pairs(first, last, stencil, x, rhs, backward):
         row = 2 * pair - behind
         if backward:
             row = 2 * pair + 1 - behind
-        _smooth_row(stencil, x, rhs, row, backward, value, inverse)
+        _relax_row(stencil, x, rhs, row, value, total)
 
 
-def smooth(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, backward: bool) -> None:
-    """One sweep of Gauss-Seidel in four colours, in place; `backward` is its adjoint.
+def relax_points(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, backward: bool) -> None:
+    """Gauss-Seidel on the cells of even columns, in place; `backward` is its adjoint.
 
-    Even rows before odd ones, and in a row even columns before odd ones; backward the other way
-    round. An odd row follows as soon as the even ones around it are done, so that the sweep goes
-    through the memory once; only where one core's rows end, it waits for the next one's. Where an
-    odd number of rows closes to a ring, the last row would touch row 0 of its own colour: it is
-    swept by itself, after the others (backward: before).
+    Even rows before odd ones; backward the other way round. An odd row follows as soon as the
+    even ones around it are done, so that the sweep goes through the memory once; only where one
+    core's rows end, it waits for the next one's. Where an odd number of rows closes to a ring,
+    the last row would touch row 0 of its own colour: it is swept by itself, after the others
+    (backward: before).
     """
     n = len(x)
     if n % 2 and backward:
-        _smooth_alone(stencil, x, rhs, n - 1, backward)
+        _relax_alone(stencil, x, rhs, n - 1)
     pairs = ranges(n // 2, least_rows(x))
-    share(lambda part: _smooth_pairs(*part, stencil, x, rhs, backward), pairs)
+    share(lambda part: _relax_pairs(*part, stencil, x, rhs, backward), pairs)
     for first, last in pairs:
-        _smooth_alone(stencil, x, rhs, 2 * first if backward else 2 * last - 1, backward)
+        _relax_alone(stencil, x, rhs, 2 * first if backward else 2 * last - 1)
     if n % 2 and not backward:
-        _smooth_alone(stencil, x, rhs, n - 1, backward)
+        _relax_alone(stencil, x, rhs, n - 1)
+
+
+@njit(cache=True)
+def _odd(row, first, last, out):
+    for k in range(first, last):
+        out[k] = row[2 * k + 1]
+
+
+@njit(cache=True)
+def _eliminate(stencil, x, i, first, last, value, excess, follow):
+    """Forward elimination of a row, its diagonal kept as couplings and the `excess` over them.
+
+    So that nothing is lost where the data are small beside the couplings.
+    """
+    n = len(x)
+    zero, one = x.dtype.type(0), x.dtype.type(1)
+    for k in range(first, last):
+        j = 2 * k + 1
+        coupling = stencil.below[i, j] if i + 1 < n else zero
+        pivot = excess[k] + coupling
+        share = one / pivot if pivot > zero else zero
+        x[i, j] = value[k] * share
+        follow[i, k] = coupling * share
+        excess[k] *= share
+
+
+@njit(cache=True, nogil=True)
+def _relax_lines(first, last, stencil, x, rhs, follow):
+    """Odd columns 2 first + 1 to 2 last - 1: from the first row to the last, and back."""
+    n = len(x)
+    value, total, excess = np.zeros((3, x.shape[1] // 2), x.dtype)
+    for i in range(n):
+        _odd(rhs[i], first, last, value)
+        _odd(stencil.data[i], first, last, total)
+        _add_sides(stencil, x, i, 1, first, last, value, total)
+        if i > 0:
+            above = stencil.below[i - 1]
+            for k in range(first, last):
+                j = 2 * k + 1
+                value[k] += above[j] * x[i - 1, j]
+                total[k] += above[j] * excess[k]
+        copy(excess[first:last], total[first:last])
+        _eliminate(stencil, x, i, first, last, value, excess, follow)
+    for i in range(n - 2, -1, -1):
+        for k in range(first, last):
+            j = 2 * k + 1
+            x[i, j] += follow[i, k] * x[i + 1, j]
+
+
+class Ring(NamedTuple):
+    """How a ring's odd columns take the coupling of their last cell to the first.
+
+    Attributes
+    ----------
+    response : (n, m // 2) float
+        Of the columns, open, to a pull of one on the first cell and back on the last one.
+    share : (m // 2,) float
+        Of the open columns' gap between first and last cell, as a pull.
+    """
+
+    response: np.ndarray
+    share: np.ndarray
+
+    def close(self, columns: np.ndarray) -> None:
+        """From solved open columns (n, m // 2) to closed ones, in place (Sherman, Morrison)."""
+        columns -= self.response * (self.share * (columns[0] - columns[-1]))
+
+
+def ring_of(stencil: Stencil) -> Ring | None:
+    """None where the grid is open."""
+    closing = stencil.below[-1, 1::2]
+    if not closing.any():
+        return None
+    x, pull = np.zeros((2, *stencil.data.shape), stencil.data.dtype)
+    pull[0, 1::2], pull[-1, 1::2] = 1, -1
+    relax_lines(stencil, None, x, pull, np.empty(x[:, 1::2].shape, x.dtype))
+    response = x[:, 1::2].copy()
+    gap = response[0] - response[-1]
+    return Ring(response, closing / (1 + closing * gap))
+
+
+def relax_lines(
+    stencil: Stencil, ring: Ring | None, x: np.ndarray, rhs: np.ndarray, follow: np.ndarray
+) -> None:
+    """Every odd column solved for all of its cells at once, given the even columns, in place.
+
+    Strips of cells along a wall, cut off on both sides, are rigid: no sweep from cell to cell
+    moves them.
+
+    Parameters
+    ----------
+    stencil : Stencil
+    ring : Ring or None
+        See `ring_of`; None leaves a ring open.
+    x, rhs : (n, m) float
+    follow : (n, m // 2) float
+        Overwritten.
+    """
+    n, columns = follow.shape
+    least = max(_LEAST_COLUMNS, _LEAST_CELLS // n)
+    by_ranges(_relax_lines, columns, least, stencil, x, rhs, follow)
+    if ring is not None:
+        ring.close(x[:, 1::2])
 
 
 @njit(cache=True)
