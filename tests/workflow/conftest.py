@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -16,9 +16,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Project:
-    """A copy of the workflow beside an archive, both free to change."""
+    """A copy of the rules beside an archive, both free to change.
+
+    The package is this one, at one path for all projects or each would compile its kernels again;
+    tests that change it name a copy.
+    """
 
     folder: Path
+    package: Path = ROOT / "workflow"
 
     @property
     def archive(self) -> Path:
@@ -34,10 +39,10 @@ class Project:
         return self.folder / "network.log"
 
     def run(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
-        """Run a program in the project's folder, with the copied package and without network."""
+        """Run a program in the project's folder, with its package and without network."""
         offline = Path(__file__).parent / "offline"
         environment = os.environ | {
-            "PYTHONPATH": f"{offline}{os.pathsep}{self.folder / 'workflow'}",
+            "PYTHONPATH": f"{offline}{os.pathsep}{self.package}",
             "NETWORK_LOG": str(self.network_log),
         }
         program = str(Path(sys.executable).parent / arguments[0])
@@ -67,7 +72,7 @@ class Project:
     def copy(self, folder: Path) -> "Project":
         """The same project elsewhere, times of files kept."""
         shutil.copytree(self.folder, folder, symlinks=True)
-        return Project(folder)
+        return replace(self, folder=folder)
 
 
 @pytest.fixture(scope="session")
@@ -93,9 +98,8 @@ def processed(made_once, tmp_path_factory) -> Project:
 
 def _process(project: Project) -> None:
     project.folder.mkdir()
-    ignore = shutil.ignore_patterns("__pycache__", "*.egg-info")
-    for name in ("rules", "schemas", "workflow"):
-        shutil.copytree(ROOT / name, project.folder / name, ignore=ignore)
+    for name in ("rules", "schemas", "workflow/report"):
+        shutil.copytree(ROOT / name, project.folder / name)
     shutil.copy(ROOT / "Snakefile", project.folder)
     (project.folder / "config").mkdir()
     (project.folder / "config/config.yaml").write_text("archive: archive\nresults: results\n")

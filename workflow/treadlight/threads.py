@@ -9,6 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import TypeVar
 
 # For a core to take while another is still at a longer one.
@@ -43,8 +44,7 @@ def share(work: Callable[[T], object], items: Iterable[T]) -> None:
     if cores() == 1 or len(items) < 2:
         deque(map(work, items), maxlen=0)
         return
-    with ThreadPoolExecutor(cores(), initializer=_stay_alone) as pool:
-        deque(pool.map(work, items), maxlen=0)
+    deque(_pool(cores()).map(work, items), maxlen=0)
 
 
 def by_ranges(kernel: Callable[..., object], count: int, least: int, *arguments: object) -> None:
@@ -75,5 +75,15 @@ def ranges(count: int, least: int) -> list[tuple[int, int]]:
     return [(first, min(first + length, count)) for first in range(0, count, length)]
 
 
+@cache
+def _pool(count: int) -> ThreadPoolExecutor:
+    """Threads that wait: to start them takes longer than many a kernel."""
+    return ThreadPoolExecutor(count, initializer=_stay_alone)
+
+
 def _stay_alone() -> None:
     _here.cores = 1
+
+
+# A forked process has none of the threads.
+os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -14,6 +14,7 @@ from treadlight.integrate.kernels import (
     Stencil,
     add_product,
     copy,
+    least_columns,
     least_rows,
     neighbours,
     ring_of,
@@ -29,8 +30,6 @@ _ABOVE, _BELOW, _LACK_COLUMN = 6, 7, 8
 _CORNERS = 9
 _LACK_CORNERS = 13
 _WEIGHTS = 14
-# Fewer columns at a time would read the memory in pieces too short.
-_LEAST_COLUMNS = 64
 
 
 @njit(cache=True)
@@ -218,8 +217,7 @@ def respond(stencil: Stencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     n, m = stencil.data.shape
     left, right, lack, follow = np.empty((4, n, m // 2), stencil.data.dtype)
-    least = max(_LEAST_COLUMNS, least_rows(left.T))
-    by_ranges(_respond, m // 2, least, stencil, left, right, lack, follow)
+    by_ranges(_respond, m // 2, least_columns(left), stencil, left, right, lack, follow)
     if ring := ring_of(stencil):
         for weights in (left, right, lack):
             ring.close(weights)

@@ -10,12 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from treadlight.threads import by_ranges, ranges, share
+from treadlight.threads import by_ranges, cores, ranges, share
 
 # Cells that are worth a thread.
 _LEAST_CELLS = 1 << 17
-# Fewer columns at a time would read the memory in pieces too short.
-_LEAST_COLUMNS = 64
 
 
 class Stencil(NamedTuple):
@@ -45,6 +43,12 @@ class Stencil(NamedTuple):
 def least_rows(cells: np.ndarray) -> int:
     """How many rows of a grid (n, m) are worth a thread."""
     return max(1, _LEAST_CELLS // cells.shape[1])
+
+
+def least_columns(cells: np.ndarray) -> int:
+    """The same of columns: one range a core, since short pieces of rows are read slowly."""
+    n, m = cells.shape
+    return max(1, _LEAST_CELLS // n, -(-m // cores()))
 
 
 @njit(cache=True)
@@ -256,9 +260,7 @@ def relax_lines(
     follow : (n, m // 2) float
         Overwritten.
     """
-    n, columns = follow.shape
-    least = max(_LEAST_COLUMNS, _LEAST_CELLS // n)
-    by_ranges(_relax_lines, columns, least, stencil, x, rhs, follow)
+    by_ranges(_relax_lines, follow.shape[1], least_columns(follow), stencil, x, rhs, follow)
     if ring is not None:
         ring.close(x[:, 1::2])
 
