@@ -68,7 +68,7 @@ bench-speed: setup ## How fast the kernels are, beside plain versions of the sam
 	  NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
 	$(BIN)/snakemake --cores $(CORES) --quiet rules --config archive=../shared/captures/sample results=build/sample
 	NUMBA_CACHE_DIR=$$($(BIN)/python -c 'from treadlight.cli import kernel_cache; print(kernel_cache())') \
-	  NUMBA_NUM_THREADS=2 $(BIN)/python tests/benchmarks/speed_multigrid.py ../shared/captures/sample/t7-00100 \
+	  $(BIN)/python tests/benchmarks/speed_multigrid.py ../shared/captures/sample/t7-00100 \
 	  build/sample/captures/t7-00100 build/sample/calibrations/bench-1-2020-01/calibration.json
 
 bench-plan: setup ## Plan an archive of 1,000 captures: time, memory, what is added, what fails (long)

@@ -24,7 +24,7 @@ from treadlight.commands import integrate as stage
 from treadlight.integrate.case import prepare
 from treadlight.integrate.multigrid import Solver, System
 from treadlight.integrate.solve import Problem, linear_residual, weighted_system
-from treadlight.threads import cores
+from treadlight.threads import use_cores
 
 TOLERANCE_MM = 1e-3
 MOST_ITERATIONS = 1000
@@ -104,7 +104,9 @@ def main() -> None:
     parser.add_argument("products", type=Path, help="captures/<id> of the results")
     parser.add_argument("calibration", type=Path, help="calibration.json")
     parser.add_argument("--mega", type=int, nargs="+", default=[1, 4, 16, 64])
+    parser.add_argument("--threads", type=int, default=2)
     args = parser.parse_args()
+    use_cores(args.threads)
     system, residual = system_of(args.capture, args.products, args.calibration)
     measure(*enlarged(system, residual, 10_000))
     print("| unknowns | set-up | solve | iterations | DCT pair | ratio | bytes each |")
@@ -119,7 +121,7 @@ def main() -> None:
             f" | {row['bytes_per_unknown']} |",
             flush=True,
         )
-    print(json.dumps({"cores": cores(), "solves": rows}, separators=(",", ":")))
+    print(json.dumps({"cores": args.threads, "solves": rows}, separators=(",", ":")))
 
 
 if __name__ == "__main__":

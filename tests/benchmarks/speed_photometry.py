@@ -23,6 +23,7 @@ from scipy.optimize import least_squares
 
 from treadlight.photometric import METHODS, Observations, dps, map_normals, sps
 from treadlight.photometric.material import learn_material
+from treadlight.threads import use_cores
 
 PIXELS, PLAIN_PIXELS, SCIPY_PIXELS = 1 << 18, 1 << 14, 50
 # As many as the stage holds at a time, and views of so many chunks.
@@ -228,6 +229,7 @@ def _solve_chunks(chunks: int) -> float:
 
 
 def main() -> None:
+    use_cores(get_num_threads())
     whole = scene(PIXELS)
     few, fewest = first(whole, PLAIN_PIXELS), first(whole, SCIPY_PIXELS)
     learn_material(fewest)

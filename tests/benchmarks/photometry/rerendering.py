@@ -15,6 +15,7 @@ from treadlight.archive import read_capture
 from treadlight.commands import photometric_stereo as command
 from treadlight.photometric import METHODS, Observations, View, observe_view
 from treadlight.photometric.view import needed_rows
+from treadlight.threads import use_cores
 
 # The scale of the figure ends here.
 _LARGEST = 0.6
@@ -28,7 +29,9 @@ def main() -> None:
     parser.add_argument("--surface", type=Path, required=True)
     parser.add_argument("--figure", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--threads", type=int, default=2)
     args = parser.parse_args()
+    use_cores(args.threads)
     capture = read_capture(args.capture)
     # Of all views the middle one.
     number = sorted(capture.views)[len(capture.views) // 2]

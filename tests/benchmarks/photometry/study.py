@@ -12,6 +12,7 @@ import hemisphere
 import numpy as np
 
 from treadlight.photometric import METHODS, Estimate
+from treadlight.threads import use_cores
 
 # Normals further from the view have no light on their highlight in any layout.
 LARGEST_TILT_DEG = 60
@@ -27,7 +28,9 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, nargs="*", help="POV-Ray's, one per ratio")
     parser.add_argument("--errors", type=Path, required=True)
     parser.add_argument("--maps", type=Path, required=True)
+    parser.add_argument("--threads", type=int, default=2)
     args = parser.parse_args()
+    use_cores(args.threads)
     truth, inside = hemisphere.normals()
     light = hemisphere.lights(args.layout)
     tilt = np.degrees(np.arccos(truth[:, 2]))
