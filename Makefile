@@ -37,7 +37,7 @@ browser: ## Install Chromium for the tests of the pages, where that is allowed
 	@sh workflow/envs/browser.sh
 
 test: setup browser ## Run all tests, with coverage
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest -n $(CORES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-fail-under=85 --durations=25
 
 test-faults: setup ## Kills, damaged inputs and corrupt results by the hundred (long)
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python tests/faults/run.py --jobs $(CORES)

@@ -23,7 +23,9 @@ def test_calibration_is_found(report):
     assert found["laser_plane"]["angle_deg"] < 0.05
     assert found["axis"]["angle_deg"] < 0.05
     assert found["axis"]["line_mm"] < 0.5
+    assert found["reference_plane"]["angle_deg"] < 0.2
     assert found["leds"]["mean_mm"] < 1.5
+    assert found["leds"]["max_mm"] < 5
 
 
 @pytest.mark.parametrize("capture", CAPTURES)

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.laser import LaserCells
+from treadlight.threads import by_ranges
 
 # Points count by a Gaussian of their distance in sections, up to this many.
 _REACH = 2.0
@@ -162,16 +164,15 @@ class _Strip:
 
     def _costs(self, points: _Points, wrong: float) -> np.ndarray:
         """Negative logarithm (k,) of each shift's likelihood; infinite where little tells."""
-        found = np.full(len(self.shifts), np.inf)
+        known, differs = np.empty((2, len(self.shifts)))
+        pattern = self.cuts, self.looked, self.periodic
+        told = points.row, points.column, points.deep, points.weight
+        by_ranges(_compare, len(self.shifts), 1, self.shifts, *pattern, *told, known, differs)
         everything = points.weight.sum()
         deceived = np.log((1 - wrong) / wrong)
-        for k, shift in enumerate(self.shifts):
-            row, inside = self._moved(points.row, int(shift))
-            known = points.weight * (inside & self.looked[row, points.column])
-            if known.sum() > _LEAST_KNOWN * everything:
-                differs = known[self.cuts[row, points.column] != points.deep].sum()
-                found[k] = deceived * differs * everything / known.sum()
-        return found
+        with np.errstate(divide="ignore", invalid="ignore"):
+            costs = deceived * differs * everything / known
+        return np.where(known > _LEAST_KNOWN * everything, costs, np.inf)
 
     def _moved(self, row: np.ndarray, shift: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows moved by a shift, and which of them are on the grid."""
@@ -180,3 +181,23 @@ class _Strip:
         if self.periodic:
             return moved % n, np.ones(len(row), bool)
         return np.clip(moved, 0, n - 1), (moved >= 0) & (moved < n)
+
+
+@njit(cache=True, nogil=True)
+def _compare(
+    first, last, shifts, cuts, looked, periodic, row, column, deep, weight, known, differs
+):
+    """Weight of the points that views look at once moved by shifts, and of those that differ."""
+    n = len(cuts)
+    for k in range(first, last):
+        known[k], differs[k] = 0.0, 0.0
+        for point in range(len(row)):
+            moved = row[point] + shifts[k]
+            if periodic:
+                moved %= n
+            elif not 0 <= moved < n:
+                continue
+            if looked[moved, column[point]]:
+                known[k] += weight[point]
+                if cuts[moved, column[point]] != deep[point]:
+                    differs[k] += weight[point]

@@ -24,7 +24,7 @@ _LEAST_SHARE = 1e-5
 # Between the stages heights need not be final; at the end what a smooth surface still moves by
 # is far below the tolerance, and patches that edges are cut around take longest.
 _STAGE_ITERATIONS = 6
-_FINAL_ITERATIONS = 15
+_FINAL_ITERATIONS = 12
 _TOLERANCE_MM = 1e-3
 
 

@@ -15,7 +15,7 @@ _SAMPLES = 8
 _SMOOTHING_CELLS = 3.0
 _TOLERANCE_MM = 1e-3
 # Samples are known to a quarter by their number; what these leave undone is a few hundredths.
-_MAX_ITERATIONS = 6
+_MAX_ITERATIONS = 3
 _SEED = 20170617
 # A nanometre: no cell is better known.
 _LEAST_VARIANCE = 1e-12

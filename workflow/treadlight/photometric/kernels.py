@@ -108,7 +108,8 @@ def _pass(r, v, bits, sums, k_d, views, by_intensity, again):
     if again:
         lanes.follow(r, v)
     else:
-        v[MOVING][:] = v[SOUND]
+        for p in range(PIXELS):
+            v[MOVING][p] = v[SOUND][p]
         lanes.search(r, v)
     lanes.solve(r, v)
     for p in range(len(views)):
@@ -163,7 +164,8 @@ def _accept(v, state):
         if not (state[_ACTIVE, p] > 0 and v[SOUND][p] > 0):
             state[_ACTIVE, p] = 0
             continue
-        state[_OLD_X : _OLD_Z + 1, p] = state[_GOOD_X : _GOOD_Z + 1, p]
+        for i in range(3):
+            state[_OLD_X + i, p] = state[_GOOD_X + i, p]
         state[_OLD_KD, p] = state[_PUT, p]
         state[_GOOD_X, p], state[_GOOD_Y, p] = v[N0][p], v[N1][p]
         state[_GOOD_Z, p], state[_GOOD_S, p] = v[N2][p], v[S][p]
@@ -178,7 +180,8 @@ def _refine(r, v, bits, sums, state, by_intensity, refinements, converged2, view
     Without refinements it is algorithm 2 or 3.
     """
     for refinement in range(refinements + 1):
-        v[SOUND][:] = state[_ACTIVE]
+        for p in range(PIXELS):
+            v[SOUND][p] = state[_ACTIVE, p]
         _pass(r, v, bits, sums, state[_PUT], views, by_intensity, refinement > 0)
         _accept(v, state)
         if not state[_ACTIVE].any():
@@ -229,8 +232,9 @@ def _count_all(r, state):
 def _lobes(v, state, refined):
     """k_d (of algorithm 4; else 0), 1 / alpha, the length of N and the brightest gloss."""
     lobes = np.zeros((4, PIXELS))
-    lobes[1:] = state[_GOOD_S : _GOOD_TOP + 1]
     for p in range(PIXELS):
+        for i in range(3):
+            lobes[1 + i, p] = state[_GOOD_S + i, p]
         if refined and state[_SOLVED, p] > 0:
             lobes[0, p] = _diffuse(v, state, p)
     return lobes
@@ -282,4 +286,5 @@ def fit_pixels(
         report(r, v, state[_GOOD_X : _GOOD_Z + 1], lobes, misfit2, prior_weight, desk)
         for p in range(last - first):
             if state[_SOLVED, p] > 0:
-                out[first + p] = desk[-1][:, p]
+                for i in range(out.shape[1]):
+                    out[first + p, i] = desk[-1][i, p]

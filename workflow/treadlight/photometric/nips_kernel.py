@@ -172,8 +172,9 @@ def _fit(table, count, view, n, x, frame, matrix, gradient):
             _tangents(n, frame)
             _linearise(table, count, n, x, frame, matrix, gradient)
             _freeze(x, gradient, matrix)
-        damped[:] = matrix
         for i in range(UNKNOWNS):
+            for j in range(UNKNOWNS):
+                damped[i, j] = matrix[i, j]
             damped[i, i] += damping
         _invert(damped)
         _step(n, x, frame, damped @ gradient, n_new, x_new)
@@ -242,7 +243,8 @@ def fit_pixels(begin, end, intensity, lights, views, usable, noise, start, out):
         count, brightest = _gather(table, k, intensity, lights, views, usable, noise)
         if count < UNKNOWNS or not brightest > 0 or np.isnan(start[k, 0]):
             continue
-        n[:] = start[k]
+        for i in range(3):
+            n[i] = start[k, i]
         _start(x)
         cost = _fit(table, count, views[k], n, x, frame, matrix, gradient)
         out[k, NX : NZ + 1] = n
