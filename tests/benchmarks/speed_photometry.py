@@ -221,6 +221,7 @@ def peak_mb(chunks: int) -> float:
 
 
 def _solve_chunks(chunks: int) -> float:
+    use_cores(get_num_threads())
     one = scene(CHUNK_PX)
     material = learn_material(one)
     for _ in range(chunks):

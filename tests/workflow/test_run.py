@@ -66,7 +66,7 @@ def test_no_process_of_a_run_asks_for_a_network(processed, project):
 
 
 def test_one_core_and_two_give_the_same_bits(processed, project):
-    """Of one capture alone: also without another one of its tire."""
+    """One capture alone: its bits do not depend on the tire's other captures either."""
     *others, alone = sorted(path.name for path in project.archive.glob("t*"))
     before = stores(project.results)
     before = {k: v for k, v in before.items() if not k.startswith(("tires", *_folders(others)))}

@@ -1,4 +1,4 @@
-"""Work shared among cores: the one way for compiled kernels and for what calls them.
+"""Work shared among cores: by compiled kernels and by what calls them.
 
 Kernels release the interpreter's lock and are called for some of their rows at a time. Compiled
 once and without a loop of their own over threads, they take half the time to compile.
@@ -8,7 +8,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import TypeVar
 
@@ -33,18 +33,28 @@ def cores() -> int:
 
 
 def share(work: Callable[[T], object], items: Iterable[T]) -> None:
-    """Do the work on every item, in any order; what it calls shares nothing among cores itself.
+    """Do the work on every item, in any order.
+
+    With several items, what the work calls shares nothing among cores itself. When this returns,
+    or raises, none of it is going on.
 
     Raises
     ------
     Exception
-        The first one that the work raises.
+        The first one, in the order of the items, that the work raises.
     """
     items = list(items)
     if cores() == 1 or len(items) < 2:
         deque(map(work, items), maxlen=0)
         return
-    deque(_pool(cores()).map(work, items), maxlen=0)
+    futures = [_pool(cores()).submit(work, item) for item in items]
+    try:
+        for future in futures:
+            future.result()
+    finally:
+        for future in futures:
+            future.cancel()
+        wait(futures)
 
 
 def by_ranges(kernel: Callable[..., object], count: int, least: int, *arguments: object) -> None:

@@ -16,12 +16,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("stacks", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--threads", type=int, default=2)
     args = parser.parse_args()
-    found = {path.parent.name: of_stack(path) for path in args.stacks}
+    found = {path.parent.name: of_stack(path, args.threads) for path in args.stacks}
     args.out.write_text(json.dumps(found, indent=1))
 
 
-def of_stack(path: Path) -> dict[str, dict[str, float]]:
+def of_stack(path: Path, threads: int) -> dict[str, dict[str, float]]:
     """Mean and median angular error, and the share of pixels with a normal, per method."""
     with np.load(path) as stack:
         truth, mask = stack["normals"], stack["mask"]
@@ -29,7 +30,8 @@ def of_stack(path: Path) -> dict[str, dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "normals.npz"
         for name in METHODS:
-            cli.main(["normals", str(path), "--method", name, "--out", str(out)])
+            options = ["--method", name, "--out", str(out), "--threads", str(threads)]
+            cli.main(["normals", str(path), *options])
             with np.load(out) as found:
                 error = hemisphere.angles(found["normals"][mask], truth[mask])
             result[name] = {

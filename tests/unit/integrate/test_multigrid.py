@@ -6,6 +6,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg
 
 from treadlight import threads
+from treadlight.integrate import kernels
 from treadlight.integrate.coarsening import prolong, restrict_defect
 from treadlight.integrate.kernels import multiply, relax_lines, relax_points
 from treadlight.integrate.multigrid import Solver, System
@@ -68,13 +69,17 @@ def test_iterations_do_not_grow_with_the_grid(rng):
     assert max(counts) <= min(counts) + 6
 
 
-def test_the_same_heights_on_one_core_and_two(rng):
-    system = weights_of_four_decades(rng, 61, 40, True)
-    residual = rng.normal(size=(61, 40))
+@pytest.mark.parametrize("shape", [(61, 40), (64, 31)])
+@pytest.mark.parametrize("periodic", [False, True])
+def test_the_same_heights_on_any_number_of_cores(rng, monkeypatch, shape, periodic):
+    # Otherwise one core takes so small a grid as a whole.
+    monkeypatch.setattr(kernels, "_LEAST_CELLS", 1)
+    system = weights_of_four_decades(rng, *shape, periodic)
+    residual = rng.normal(size=shape)
     before = threads.cores()
     found = []
     try:
-        for count in (1, 2):
+        for count in (1, 2, 3):
             threads.use_cores(count)
             found.append(Solver(system).solve(residual.copy(), 1e-6)[0])
     finally:
@@ -86,6 +91,17 @@ def restricted(level, coarse_shape, fine):
     out = np.empty(coarse_shape)
     restrict_defect(level.stencil, np.zeros_like(fine), fine, out)
     return out
+
+
+def test_the_defect_is_what_the_heights_leave_of_the_right_hand_side(rng):
+    for level in Solver(weights_of_four_decades(rng, 33, 40, True))._levels[:-1]:
+        x, rhs, product = rng.normal(size=(3, *level.x.shape))
+        multiply(level.stencil, x, product)
+        shape = [(size + 1) // 2 for size in x.shape]
+        out = np.empty(shape)
+        restrict_defect(level.stencil, x, rhs, out)
+        expected = restricted(level, shape, rhs - product)
+        np.testing.assert_allclose(out, expected, rtol=0, atol=1e-12 * np.abs(product).max())
 
 
 def prolonged(level, coarse):
@@ -157,7 +173,8 @@ def test_relaxing_forth_and_back_is_symmetric(rng, shape):
     for level in Solver(weights_of_four_decades(rng, *shape, True))._levels:
         relaxed = []
         a, b = rng.normal(size=(2, *level.x.shape))
-        follow = np.empty((shape := level.x.shape)[0] * (shape[1] // 2)).reshape(shape[0], -1)
+        n, m = level.x.shape
+        follow = np.empty((n, m // 2))
         for rhs in (a, b):
             x = np.zeros_like(rhs)
             relax_points(level.stencil, x, rhs, False)

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from treadlight.errors import ConfigError
     from treadlight.photometric import METHODS
 
-    # Not argparse's choices: the list would load numba before the number of threads is set.
+    # Not argparse's choices: the list would load numba, for --help too.
     if args.method not in METHODS:
         raise ConfigError(f"No method '{args.method}'. Choose one of {', '.join(METHODS)}.")
     stack = _load(args.stack)

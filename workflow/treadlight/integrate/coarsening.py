@@ -11,13 +11,12 @@ import numpy as np
 from numba import njit
 
 from treadlight.integrate.kernels import (
+    Ring,
     Stencil,
-    add_product,
     copy,
     least_columns,
     least_rows,
     neighbours,
-    ring_of,
 )
 from treadlight.threads import by_ranges
 
@@ -30,6 +29,12 @@ _ABOVE, _BELOW, _LACK_COLUMN = 6, 7, 8
 _CORNERS = 9
 _LACK_CORNERS = 13
 _WEIGHTS = 14
+
+
+@njit(cache=True)
+def _add_product(out, a, b):
+    for j in range(len(out)):
+        out[j] += a[j] * b[j]
 
 
 @njit(cache=True)
@@ -47,7 +52,7 @@ def _add_every_other(out, row, first):
 
 @njit(cache=True)
 def _keep_positive(row):
-    """Coarse couplings may be negative, and cancel others: they do not count in the weights."""
+    """Coarse couplings may be negative, and cancel others: along theta they do not count."""
     zero = row.dtype.type(0)
     for b in range(len(row)):
         row[b] = max(row[b], zero)
@@ -119,19 +124,19 @@ def _defect_even(stencil, x, rhs, i, out):
 @njit(cache=True, nogil=True)
 def _restrict(first, last, stencil, x, rhs, out):
     n, rows, columns = len(x), len(out), out.shape[1]
-    above, below, lack = np.empty((3, columns), x.dtype)
-    fine = np.empty(columns, x.dtype)
+    above, below, lack = np.zeros((3, columns), x.dtype)
+    fine = np.zeros(columns, x.dtype)
+    before = 2 * first - 1 if first > 0 else 2 * rows - 1
+    if before < n:
+        _along_column(stencil, before, above, below, lack)
+        _defect_even(stencil, x, rhs, before, fine)
     for a in range(first, last):
         _defect_even(stencil, x, rhs, 2 * a, out[a])
-        before = 2 * a - 1 if a > 0 else 2 * rows - 1
-        if before < n:
-            _along_column(stencil, before, above, below, lack)
-            _defect_even(stencil, x, rhs, before, fine)
-            add_product(out[a], below, fine)
+        _add_product(out[a], below, fine)
         if 2 * a + 1 < n:
             _along_column(stencil, 2 * a + 1, above, below, lack)
             _defect_even(stencil, x, rhs, 2 * a + 1, fine)
-            add_product(out[a], above, fine)
+            _add_product(out[a], above, fine)
 
 
 def restrict_defect(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, out: np.ndarray) -> None:
@@ -207,8 +212,10 @@ def _respond(first, last, stencil, left, right, lack, follow):
             lack[i, k] += follow[i, k] * lack[i + 1, k]
 
 
-def respond(stencil: Stencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def respond(stencil: Stencil, ring: Ring | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How odd columns follow where the columns to their left, or right, rise by one.
+
+    `ring` is that of the stencil.
 
     Returns
     -------
@@ -218,7 +225,7 @@ def respond(stencil: Stencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n, m = stencil.data.shape
     left, right, lack, follow = np.empty((4, n, m // 2), stencil.data.dtype)
     by_ranges(_respond, m // 2, least_columns(left), stencil, left, right, lack, follow)
-    if ring := ring_of(stencil):
+    if ring is not None:
         for weights in (left, right, lack):
             ring.close(weights)
     return left, right, lack
@@ -389,8 +396,8 @@ def _assemble(first, last, stencil, left, right, lack, coarse, right_below, data
         _assemble_row(stencil, a, weights, coarse, right_below[down], data_below[down])
 
 
-def galerkin(stencil: Stencil) -> Stencil:
-    """The coarse matrix P^T A P of a stencil (n, m), on (N, M); needs N >= 3.
+def galerkin(stencil: Stencil, ring: Ring | None) -> Stencil:
+    """The coarse matrix P^T A P of a stencil (n, m) and its ring, on (N, M); needs N >= 3.
 
     Assembled from elements between four coarse cells, some 240 operations each.
     """
@@ -399,7 +406,7 @@ def galerkin(stencil: Stencil) -> Stencil:
     right_below, data_below = (np.zeros(shape, stencil.data.dtype) for _ in range(2))
     rows = least_rows(coarse.data)
     by_ranges(
-        _assemble, shape[0], rows, stencil, *respond(stencil), coarse, right_below, data_below
+        _assemble, shape[0], rows, stencil, *respond(stencil, ring), coarse, right_below, data_below
     )
     coarse.right[:] += right_below
     coarse.data[:] += data_below

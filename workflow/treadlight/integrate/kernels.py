@@ -1,7 +1,7 @@
 """Numba kernels of the multigrid solver: row by row, so that a row stays in the cache.
 
-Every parallel loop runs over blocks of rows whose results do not depend on each other: the same
-bits on any number of cores. Inner loops run along z with unit stride and few arrays each, which
+Every kernel is called for ranges of rows, or of columns, whose results do not depend on each
+other: the same bits on any number of cores. Inner loops run along z with few arrays each, which
 the compiler turns into vector instructions.
 """
 
@@ -62,13 +62,6 @@ def copy(out, a):
     """out = a; an assignment of slices compiles what raises an error first, for seconds."""
     for j in range(len(out)):
         out[j] = a[j]
-
-
-@njit(cache=True)
-def add_product(out, a, b):
-    """out += a b."""
-    for j in range(len(out)):
-        out[j] += a[j] * b[j]
 
 
 @njit(cache=True)
@@ -156,7 +149,7 @@ def relax_points(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, backward: boo
     n = len(x)
     if n % 2 and backward:
         _relax_alone(stencil, x, rhs, n - 1)
-    pairs = ranges(n // 2, least_rows(x))
+    pairs = ranges(n // 2, -(-least_rows(x) // 2))
     share(lambda part: _relax_pairs(*part, stencil, x, rhs, backward), pairs)
     for first, last in pairs:
         _relax_alone(stencil, x, rhs, 2 * first if backward else 2 * last - 1)
@@ -182,10 +175,10 @@ def _eliminate(stencil, x, i, first, last, value, excess, follow):
         j = 2 * k + 1
         coupling = stencil.below[i, j] if i + 1 < n else zero
         pivot = excess[k] + coupling
-        share = one / pivot if pivot > zero else zero
-        x[i, j] = value[k] * share
-        follow[i, k] = coupling * share
-        excess[k] *= share
+        inverse = one / pivot if pivot > zero else zero
+        x[i, j] = value[k] * inverse
+        follow[i, k] = coupling * inverse
+        excess[k] *= inverse
 
 
 @njit(cache=True, nogil=True)
@@ -211,6 +204,13 @@ def _relax_lines(first, last, stencil, x, rhs, follow):
             x[i, j] += follow[i, k] * x[i + 1, j]
 
 
+@njit(cache=True, nogil=True)
+def _subtract_scaled(first, last, rows, response, scale):
+    for i in range(first, last):
+        for k in range(len(scale)):
+            rows[i, k] -= response[i, k] * scale[k]
+
+
 class Ring(NamedTuple):
     """How a ring's odd columns take the coupling of their last cell to the first.
 
@@ -227,7 +227,8 @@ class Ring(NamedTuple):
 
     def close(self, columns: np.ndarray) -> None:
         """From solved open columns (n, m // 2) to closed ones, in place (Sherman, Morrison)."""
-        columns -= self.response * (self.share * (columns[0] - columns[-1]))
+        pull = self.share * (columns[0] - columns[-1])
+        by_ranges(_subtract_scaled, len(columns), least_rows(columns), columns, self.response, pull)
 
 
 def ring_of(stencil: Stencil) -> Ring | None:
@@ -266,7 +267,7 @@ def relax_lines(
 
 
 @njit(cache=True)
-def defect_row(stencil, x, i, out):
+def _defect_row(stencil, x, i, out):
     """Subtract from a row's `out` (m,) its row of A x, as the flow along every coupling."""
     n, m = x.shape
     up, down = neighbours(i, n)
@@ -288,7 +289,7 @@ def defect_row(stencil, x, i, out):
 @njit(cache=True)
 def _product_row(stencil, x, i, out):
     out[:] = 0
-    defect_row(stencil, x, i, out)
+    _defect_row(stencil, x, i, out)
     total = 0.0
     for j in range(len(out)):
         out[j] = -out[j]

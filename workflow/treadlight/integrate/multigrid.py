@@ -59,19 +59,20 @@ class Solver:
     The preconditioner is one V-cycle: Gauss-Seidel on the even columns, then every odd column
     solved as a whole; after the coarse grid's correction the adjoint, so that it is symmetric.
     In the precision of the system: single precision takes some 40 bytes per unknown, those of
-    the system and of the residual among them.
+    the system and of the residual among them; a ring takes 3 more, and 4 while it is closed.
     """
 
     def __init__(self, system: System):
         empty = np.empty((0, 0), system.data.dtype)
         stencil = Stencil(system.w_z, system.w_theta, empty, empty, system.data)
-        self._levels = [_Level(stencil, ring_of(stencil), np.empty_like(system.data), empty)]
-        n, m = system.data.shape
-        while n >= _LEAST_ROWS and n * m > _COARSEST_CELLS:
-            stencil = galerkin(stencil)
-            n, m = stencil.data.shape
-            vectors = np.empty((2, n, m), stencil.data.dtype)
-            self._levels.append(_Level(stencil, ring_of(stencil), *vectors))
+        vectors = np.empty_like(system.data), empty
+        self._levels = []
+        while len(stencil.data) >= _LEAST_ROWS and stencil.data.size > _COARSEST_CELLS:
+            ring = ring_of(stencil)
+            self._levels.append(_Level(stencil, ring, *vectors))
+            stencil = galerkin(stencil, ring)
+            vectors = tuple(np.empty((2, *stencil.data.shape), stencil.data.dtype))
+        self._levels.append(_Level(stencil, None, *vectors))
         self._coarsest = _dense_inverse(stencil)
         n, m = system.data.shape
         self._follow = np.empty(n * (m // 2), system.data.dtype)

@@ -21,8 +21,8 @@ _STAGES = 5
 _LASER_SCALE = 2.0
 # No edge is cut quite through: the matrix stays regular.
 _LEAST_SHARE = 1e-5
-# Between the stages heights need not be final; at the end what a smooth surface still moves by
-# is far below the tolerance, and patches that edges are cut around take longest.
+# Between the stages heights need not be final: within some 10 um, and 1 um in all but one cell in
+# a thousand. At the end within some 2 um, in patches that edges are cut around.
 _STAGE_ITERATIONS = 6
 _FINAL_ITERATIONS = 12
 _TOLERANCE_MM = 1e-3

@@ -260,7 +260,7 @@ def fit_pixels(
     out : (n, RESULTS) float64
         Written here: see the column names above; NaN where there is no normal, with LEDS.
     """
-    n_leds, n = intensity.shape
+    n_leds = len(intensity)
     for first in range(begin, end, PIXELS):
         last = min(first + PIXELS, end)
         r = np.empty((lanes.ROWS, n_leds, PIXELS), np.float32)
@@ -274,7 +274,7 @@ def fit_pixels(
         for p in range(PIXELS):
             state[_ACTIVE, p] = v[COUNT][p] >= 4
             v[S][p] = 1.0
-            if first + p < n:
+            if first + p < last:
                 out[first + p, LEDS] = v[COUNT][p]
         _count_all(r, state)
         _refine(

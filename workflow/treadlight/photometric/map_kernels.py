@@ -54,7 +54,6 @@ from treadlight.photometric.map_starts import (
     starts_desk,
 )
 
-# Pixels that one thread takes at a time.
 # Steps from each start, and from the best of them at each level of misfit.
 _FIRST_STEPS, _STEPS = 3, 8
 # Least misfit that the starts are given: the robust cost is flat where residuals are far beyond it.
@@ -117,6 +116,8 @@ def _start(state, start, material):
 @njit(cache=True, error_model="numpy", nogil=True)
 def fit_pixels(begin, end, intensity, lights, views, usable, noise, base, material, misfit2, out):
     """The most probable normal and material of pixels begin to end - 1.
+
+    `begin` is a multiple of LANES: pixels of one block start from the same dictionary.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ from treadlight.photometric.observations import Observations
 from treadlight.threads import by_ranges
 
 _SEARCH_PX, _LOBE_PX, _SAMPLE_PX = 256, 1024, 4096
+# Whole blocks of lanes, worth a thread.
 _LEAST_PX = 4 * LANES
 _SEARCH_ALPHA = 2.0 ** np.arange(1, 10)
 _SEARCH_RATIO = 10.0 ** np.arange(-2, 2.1, 0.5)

@@ -229,13 +229,13 @@ def lit(
     """
     out = np.zeros((len(leds), len(points)), np.bool_)
     if patch.r_max > 0.0:
-        width = len(points) if width is None else width
-        down, across = shadow_kernels.tiles(max(width, 1), len(points))
+        width = max(len(points) if width is None else width, 1)
+        down, across = shadow_kernels.tiles(width, len(points))
         by_ranges(
             shadow_kernels.lit, down * across, _LEAST_TILES,
             patch.r, patch.r_std, patch.obstacles, patch.crests,
             patch.phi_0, patch.step_phi, patch.z_0, patch.step_z, patch.r_max, patch.step_mm,
             np.ascontiguousarray(points, np.float64), np.ascontiguousarray(leds, np.float64),
-            max(width, 1), out,
+            width, out,
         )  # fmt: skip
     return out

@@ -12,6 +12,7 @@ from treadlight.threads import by_ranges
 Algorithm = Literal[2, 3, 4]
 
 MAX_REFINEMENTS = 5
+# Whole blocks of lanes, worth a thread.
 _LEAST_PX = 16 * kernels.PIXELS
 _CONVERGED_RAD = math.radians(0.001)
 # Five parameters absorb much of a pixel's misfit, so what is left of it says little of its
