@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from treadlight.geometry import CylinderGrid
 
 # Before any test module imports numba.
 os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
+
+from numba.core import event
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -45,6 +48,27 @@ def _leave_out(config, items, marker, what, why):
     items[:] = [item for item in items if item not in marked]
     config.hook.pytest_deselected(items=marked)
     config.stash[_LEFT_OUT].append(f"{len(marked)} tests {what} left out: {why}")
+
+
+class _Untraced(event.Listener):
+    """No coverage of the compiler: to trace it takes as long as to compile."""
+
+    def __init__(self):
+        self.depth, self.trace = 0, None
+
+    def on_start(self, event):
+        if self.depth == 0:
+            self.trace = sys.gettrace()
+            sys.settrace(None)
+        self.depth += 1
+
+    def on_end(self, event):
+        self.depth -= 1
+        if self.depth == 0:
+            sys.settrace(self.trace)
+
+
+event.register("numba:compile", _Untraced())
 
 
 def browser() -> str | None:

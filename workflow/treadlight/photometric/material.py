@@ -156,11 +156,15 @@ def settle(sample: Observations, material: Material, rounds: int) -> Material:
 
 
 def spread(observations: Observations, count: int) -> Observations:
-    """About so many of the pixels that have enough light to say something, evenly spread."""
+    """About so many of the pixels that have enough light to say something, evenly spread.
+
+    Those whose LEDs stand alike are together, since they share the starts of their fits.
+    """
     with np.errstate(invalid="ignore"):
         lit = (observations.usable & (observations.intensity > 3 * observations.noise)).sum(axis=0)
     pixels = np.flatnonzero(lit > _FITTED)
     pixels = pixels[:: max(1, len(pixels) // count)]
+    pixels = pixels[_alike_together(observations.lights[:, pixels].mean(axis=0))]
     return Observations(
         observations.intensity[:, pixels],
         observations.lights[:, pixels],
@@ -168,6 +172,15 @@ def spread(observations: Observations, count: int) -> Observations:
         observations.usable[:, pixels],
         observations.noise[:, pixels],
     )
+
+
+def _alike_together(direction: np.ndarray) -> np.ndarray:
+    """An order (n,) of directions (n, 3): in strips along theta, by z in each of them."""
+    n = len(direction)
+    strips = max(1, round(np.sqrt(n / LANES)))
+    strip = np.empty(n, int)
+    strip[np.argsort(direction[:, 1], kind="stable")] = np.arange(n) * strips // max(n, 1)
+    return np.lexsort((direction[:, 2], strip))
 
 
 def search(sample: Observations, squarings: int = BLINN_PHONG) -> Material:
