@@ -18,8 +18,7 @@ from treadlight.cli import main
 from treadlight.errors import CaptureError
 from treadlight.planning.frames import FrameDigests
 
-# Kernels are compiled on the way, on a busy machine for minutes.
-TIMEOUT_S = 600
+TIMEOUT_S = 120
 # Said every few seconds: on a slow machine more.
 _PROGRESS = re.compile(r": \d+ of \d+$")
 

@@ -66,17 +66,11 @@ def test_no_process_of_a_run_asks_for_a_network(processed, project):
 
 
 def test_one_core_and_two_give_the_same_bits(processed, project):
-    """One capture alone: its bits do not depend on the tire's other captures either."""
-    *others, alone = sorted(path.name for path in project.archive.glob("t*"))
-    left_out = ("tires/", *(f"captures/{name}/" for name in others))
-    before = {k: v for k, v in stores(project.results).items() if not k.startswith(left_out)}
-    assert f"captures/{alone}/profile.zarr/zarr.json" in before
+    before = stores(project.results)
+    assert len(before) > 50
     shutil.rmtree(project.results)
-    for other in others:
-        shutil.rmtree(project.archive / other)
     project.snakemake("--cores", "1")
-    after = stores(project.results)
-    assert {k: v for k, v in after.items() if not k.startswith(left_out)} == before
+    assert stores(project.results) == before
 
 
 def test_a_second_run_has_nothing_to_do(processed):

@@ -20,9 +20,11 @@ def report(processed, sample_archive, tmp_path_factory):
 def test_calibration_is_found(report):
     found = report["calibrations"]["bench-1-2020-01"]
     assert abs(found["camera"]["fx_percent"]) < 0.05
+    assert abs(found["camera"]["fy_percent"]) < 0.05
     assert found["laser_plane"]["angle_deg"] < 0.05
     assert found["axis"]["angle_deg"] < 0.05
     assert found["axis"]["line_mm"] < 0.5
+    assert found["axis"]["foot_mm"] < 1
     assert found["reference_plane"]["angle_deg"] < 0.2
     assert found["leds"]["mean_mm"] < 1.5
     assert found["leds"]["max_mm"] < 5

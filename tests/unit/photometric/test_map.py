@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from treadlight.photometric import map_normals, sps
-from treadlight.photometric.material import BLINN_PHONG, fit, learn_material, rerender
+from treadlight.photometric.material import (
+    BLINN_PHONG,
+    fit,
+    learn_material,
+    rerender,
+    spread,
+)
 from treadlight.photometric.observations import Observations
 
 
@@ -160,3 +166,23 @@ def test_pixels_whose_leds_stand_anywhere_have_starts_of_their_own(analytic, rng
     observations = replace(observations, lights=turned.astype(np.float32))
     found = analytic.degrees_between(map_normals(observations).normal, normals)
     assert np.nanmean(found > 1.0) < 0.01
+
+
+def test_a_sample_has_pixels_whose_leds_stand_alike_together(rng):
+    count, leds = 4096, 5
+    lights = np.ones((leds, count, 3), np.float32)
+    lights[..., 1:] = rng.uniform(-0.5, 0.5, (count, 2))
+    observations = Observations(
+        intensity=np.tile(1 + np.arange(count, dtype=np.float32), (leds + 1, 1)),
+        lights=np.concatenate([lights, lights[:1]]),
+        views=np.ones((count, 3), np.float32),
+        usable=np.ones((leds + 1, count), bool),
+        noise=np.full((leds + 1, count), 1e-3, np.float32),
+    )
+    sample = spread(observations, count)
+    pixels = sample.intensity[0].astype(int) - 1
+    assert sorted(pixels) == list(range(count))
+    np.testing.assert_array_equal(sample.lights[0], lights[0, pixels])
+    blocks = sample.lights[0, :, 1:].reshape(-1, 32, 2)
+    # Of 128 blocks each takes its share of the square, not all of it.
+    assert np.median(np.ptp(blocks, axis=1).max(axis=1)) < 0.2

@@ -14,7 +14,8 @@ from treadlight.integrate.solve import Problem, Solution, perturbation, weighted
 _SAMPLES = 8
 _SMOOTHING_CELLS = 3.0
 _TOLERANCE_MM = 1e-3
-# Samples are known to a quarter by their number; what these leave undone is a few hundredths.
+# Samples are known to a quarter by their number; what these leave undone is below 3 % of `r_std`
+# in 98 of 100 cells (of the sample archive, beside 30 iterations).
 _MAX_ITERATIONS = 3
 _SEED = 20170617
 # A nanometre: no cell is better known.
