@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from treadlight import store
-from treadlight.cli import kernel_cache, main
+from treadlight import compiling, store
+from treadlight.cli import main
 from treadlight.geometry import CylinderGrid
 
 # Before any test module imports numba.
-os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
+compiling.prepare()
 
-from numba.core import event
+from numba.core import event  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"

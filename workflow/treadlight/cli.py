@@ -1,20 +1,16 @@
 """`treadlight <command>`: finds the command's module, turns errors into one plain sentence."""
 
 import argparse
-import hashlib
 import importlib
 import os
 import sys
-import tempfile
-from pathlib import Path
 
 import treadlight
+from treadlight import compiling
 from treadlight.commands.names import COMMANDS
 from treadlight.errors import ConfigError, sentence_of
 from treadlight.memory import require_address_space
 from treadlight.threads import use_cores
-
-_PACKAGE = Path(treadlight.__file__).parent
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -31,12 +27,12 @@ def main(argv: list[str] | None = None) -> int:
 def _run(argv: list[str]) -> int:
     # Before a command's module loads numpy: sums by several threads depend on their number.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
     name = argv[0] if argv and argv[0] in COMMANDS else None
     options = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     _add_threads(options)
     threads = options.parse_known_args(argv)[0].threads
     require_address_space(threads)
+    compiling.prepare()
     os.environ["OMP_NUM_THREADS"] = str(threads)
     use_cores(threads)
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)
@@ -56,23 +52,6 @@ def _run(argv: list[str]) -> int:
 
 def _add_threads(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="cores to use")
-
-
-def kernel_cache() -> Path:
-    """Where compiled kernels are kept: one folder per state of the code that compiles any.
-
-    numba looks at the file of the calling kernel alone, so a changed kernel in another module
-    would live on in its callers.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        text = path.read_bytes()
-        if b"numba" in text:
-            digest.update(text)
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    if not os.access(home if home.exists() else home.parent, os.W_OK):
-        home = Path(tempfile.gettempdir())
-    return home / "treadlight" / f"kernels-{digest.hexdigest()[:16]}"
 
 
 if __name__ == "__main__":

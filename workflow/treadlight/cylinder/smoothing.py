@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import maximum_filter1d
 
+from treadlight.compiling import kernel
 from treadlight.cylinder.registration import Sections
 from treadlight.geometry import CylinderGrid
 
@@ -116,7 +116,7 @@ def _pieces(z: np.ndarray, r: np.ndarray, noise: float, step_z: float) -> np.nda
     return np.concatenate([[0], np.cumsum(wall | (dz > 2.5 * pitch))]).astype(np.int64)
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def smooth_section(z, r, rows, std, piece, at, half_width, shared):  # pragma: no cover - compiled
     """Local straight fit at each `at`, tricube in z times Tukey's biweight, within one piece.
 
@@ -145,7 +145,7 @@ def smooth_section(z, r, rows, std, piece, at, half_width, shared):  # pragma: n
     return row_out, r_out, var_out
 
 
-@njit(cache=True)
+@kernel
 def _local_fit(
     z, r, std, piece, at, half_width, nearest, first, shared
 ):  # pragma: no cover - compiled

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import distance_transform_edt
 
+from treadlight.compiling import kernel
 from treadlight.cylinder.extent import Extent
 from treadlight.cylinder.registration import Sections
 from treadlight.cylinder.smoothing import resample_sections
@@ -138,7 +138,7 @@ def _usual_step(r: np.ndarray) -> float:
     return max(1e-3, usual)
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _lone_sections(value, agree, periodic):  # pragma: no cover - compiled
     """1.0 for each section of a column that agrees with neither neighbour, else 0.0."""
     count = len(value)
@@ -152,7 +152,7 @@ def _lone_sections(value, agree, periodic):  # pragma: no cover - compiled
     return alone
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def fill_columns(
     row, r, variance, n_theta, periodic, spacing, reach, agree, drift
 ):  # pragma: no cover - compiled

@@ -1,10 +1,11 @@
 """The inner loop of `Illumination.irradiance`; imported when first used: numba loads slowly."""
 
-import numba
 import numpy as np
 
+from treadlight.compiling import kernel
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel(error_model="numpy")
 def irradiance(
     first, last, points, position, normal, height, intrinsics, distortion, table, step, lens, out
 ):

@@ -8,8 +8,8 @@ tear a strip of cells that is cut off on both sides.
 """
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.integrate.kernels import (
     Ring,
     Stencil,
@@ -31,26 +31,26 @@ _LACK_CORNERS = 13
 _WEIGHTS = 14
 
 
-@njit(cache=True)
+@kernel
 def _add_product(out, a, b):
     for j in range(len(out)):
         out[j] += a[j] * b[j]
 
 
-@njit(cache=True)
+@kernel
 def _pick(out, row, first):
     """Every other value of a row."""
     for b in range(len(out)):
         out[b] = row[2 * b + first]
 
 
-@njit(cache=True)
+@kernel
 def _add_every_other(out, row, first):
     for b in range(len(out)):
         out[b] += row[2 * b + first]
 
 
-@njit(cache=True)
+@kernel
 def _keep_positive(row):
     """Coarse couplings may be negative, and cancel others: along theta they do not count."""
     zero = row.dtype.type(0)
@@ -58,7 +58,7 @@ def _keep_positive(row):
         row[b] = max(row[b], zero)
 
 
-@njit(cache=True)
+@kernel
 def _normalise(one_side, other_side, lack):
     """From couplings and data to their shares of the sum; 0 where there are none."""
     _keep_positive(one_side)
@@ -73,7 +73,7 @@ def _normalise(one_side, other_side, lack):
         lack[b] *= share
 
 
-@njit(cache=True)
+@kernel
 def _along_column(stencil, i, above, below, lack):
     """Weights of an odd row's even cells; what couples to the columns around goes along theirs."""
     m = stencil.data.shape[1]
@@ -89,7 +89,7 @@ def _along_column(stencil, i, above, below, lack):
     _normalise(above, below, lack)
 
 
-@njit(cache=True)
+@kernel
 def _defect_even(stencil, x, rhs, i, out):
     """A row of rhs - A x in the even columns, as the flow along every coupling."""
     n, m = x.shape
@@ -121,7 +121,7 @@ def _defect_even(stencil, x, rhs, i, out):
             out[b] -= upper[j - 1] * (here[j] - above[j - 1])
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _restrict(first, last, stencil, x, rhs, out):
     n, rows, columns = len(x), len(out), out.shape[1]
     above, below, lack = np.zeros((3, columns), x.dtype)
@@ -144,7 +144,7 @@ def restrict_defect(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, out: np.nd
     by_ranges(_restrict, len(out), least_rows(out), stencil, x, rhs, out)
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _prolong(first, last, stencil, coarse, x):
     rows, columns = coarse.shape
     above, below, lack = np.empty((3, columns), x.dtype)
@@ -163,7 +163,7 @@ def prolong(stencil: Stencil, coarse: np.ndarray, x: np.ndarray) -> None:
     by_ranges(_prolong, len(coarse), least_rows(coarse), stencil, coarse, x)
 
 
-@njit(cache=True)
+@kernel
 def _sides(stencil, i, first, last, left, right, lack):
     """What the odd cells of a row are coupled to in the columns beside them, and their data."""
     n, m = stencil.data.shape
@@ -181,7 +181,7 @@ def _sides(stencil, i, first, last, left, right, lack):
             right[k] += stencil.below_left[up, 2 * k + 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _respond(first, last, stencil, left, right, lack, follow):
     """Columns 2 first + 1 to 2 last - 1 of `respond`, as `kernels.relax_lines` solves them."""
     n, columns = left.shape
@@ -231,7 +231,7 @@ def respond(stencil: Stencil, ring: Ring | None) -> tuple[np.ndarray, np.ndarray
     return left, right, lack
 
 
-@njit(cache=True)
+@kernel
 def _corners(weights, left, right, lack):
     """Weights of an odd row's odd cells: as they follow the even ones beside them."""
     half, inner = len(left), min(len(left), weights.shape[1] - 1)
@@ -246,7 +246,7 @@ def _corners(weights, left, right, lack):
         weights[_LACK_CORNERS, b] += right[b] * lacking[b + 1]
 
 
-@njit(cache=True)
+@kernel
 def _row_weights(stencil, left, right, lack, a, weights):
     """The weights (14, M) of coarse row a, from how odd columns follow."""
     n, half = left.shape
@@ -262,7 +262,7 @@ def _row_weights(stencil, left, right, lack, a, weights):
         _corners(weights, left[i + 1], right[i + 1], lack[i + 1])
 
 
-@njit(cache=True)
+@kernel
 def _edge(total, coupling, p, q):
     """Add an edge between two cells to the matrix of their four coarse cells.
 
@@ -285,7 +285,7 @@ def _edge(total, coupling, p, q):
     )
 
 
-@njit(cache=True)
+@kernel
 def _mass(total, data, p):
     """Add a cell's data term to the matrix of its four coarse cells, as `_edge`."""
     whole = data * (1 - p[4])
@@ -303,7 +303,7 @@ def _mass(total, data, p):
     )
 
 
-@njit(cache=True)
+@kernel
 def _element(stencil, weights, a, b):
     """Matrix of coarse cells (a, b), (a, b + 1), (a + 1, b), (a + 1, b + 1), as in `_edge`.
 
@@ -368,7 +368,7 @@ def _element(stencil, weights, a, b):
     return total
 
 
-@njit(cache=True)
+@kernel
 def _assemble_row(stencil, a, weights, coarse, right_below, data_below):
     """Couplings of coarse row a; of the row below what belongs to its `right` and `data`."""
     for b in range(weights.shape[1]):
@@ -386,7 +386,7 @@ def _assemble_row(stencil, a, weights, coarse, right_below, data_below):
             data_below[b + 1] += total[9]
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _assemble(first, last, stencil, left, right, lack, coarse, right_below, data_below):
     rows, columns = coarse.data.shape
     weights = np.empty((_WEIGHTS, columns), coarse.data.dtype)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.gather import ViewField
 from treadlight.threads import by_ranges
@@ -118,7 +118,7 @@ def build_edges(
     return Edges(step, weight, photometric)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(
     first, last, slope, variance, surface, first_step, first_std, along_theta, periodic, spacing,
     step, weight, known,

@@ -5,8 +5,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 
 # Two slopes times their weights, these, material, and how many pixels are usable; the share of
@@ -199,7 +199,7 @@ def _blend(first: int, count: int, whole: int) -> np.ndarray:
     return (2 * np.minimum(place, 1 - place)).astype(np.float32)
 
 
-@njit(cache=True)
+@kernel
 def _splat(row, column, channels, periodic, total):
     """Share every point's channels bilinearly among the four cells around it."""
     rows, columns, count = total.shape

@@ -8,8 +8,8 @@ the compiler turns into vector instructions.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.threads import by_ranges, cores, ranges, share
 
 # Cells that are worth a thread.
@@ -51,26 +51,26 @@ def least_columns(cells: np.ndarray) -> int:
     return max(1, _LEAST_CELLS // n, -(-m // cores()))
 
 
-@njit(cache=True)
+@kernel
 def neighbours(i, n):
     """The rows before and after row i of a ring of n."""
     return (i - 1 if i > 0 else n - 1), (i + 1 if i < n - 1 else 0)
 
 
-@njit(cache=True)
+@kernel
 def copy(out, a):
     """out = a; an assignment of slices compiles what raises an error first, for seconds."""
     for j in range(len(out)):
         out[j] = a[j]
 
 
-@njit(cache=True)
+@kernel
 def _subtract_flow(out, coupling, here, there):
     for j in range(len(out)):
         out[j] -= coupling[j] * (here[j] - there[j])
 
 
-@njit(cache=True)
+@kernel
 def _add_sides(stencil, x, i, odd, first, last, value, total):
     """What a row's even, or odd, cells are coupled to in the columns beside them.
 
@@ -102,7 +102,7 @@ def _add_sides(stencil, x, i, odd, first, last, value, total):
             total[k] += lower_right[j] + upper_right[j + 1]
 
 
-@njit(cache=True)
+@kernel
 def _relax_row(stencil, x, rhs, i, value, total):
     """Gauss-Seidel on the even cells of a row, which are not coupled to each other."""
     up, down = neighbours(i, len(x))
@@ -117,13 +117,13 @@ def _relax_row(stencil, x, rhs, i, value, total):
         x[i, 2 * k] = value[k] * (one / total[k] if total[k] > zero else zero)
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _relax_alone(stencil, x, rhs, i):
     value, total = np.empty((2, (x.shape[1] + 1) // 2), x.dtype)
     _relax_row(stencil, x, rhs, i, value, total)
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _relax_pairs(first, last, stencil, x, rhs, backward):
     """Rows 2 first to 2 last - 1, less the one that waits for a row of the next pairs."""
     value, total = np.empty((2, (x.shape[1] + 1) // 2), x.dtype)
@@ -157,13 +157,13 @@ def relax_points(stencil: Stencil, x: np.ndarray, rhs: np.ndarray, backward: boo
         _relax_alone(stencil, x, rhs, n - 1)
 
 
-@njit(cache=True)
+@kernel
 def _odd(row, first, last, out):
     for k in range(first, last):
         out[k] = row[2 * k + 1]
 
 
-@njit(cache=True)
+@kernel
 def _eliminate(stencil, x, i, first, last, value, excess, follow):
     """Forward elimination of a row, its diagonal kept as couplings and the `excess` over them.
 
@@ -181,7 +181,7 @@ def _eliminate(stencil, x, i, first, last, value, excess, follow):
         excess[k] *= inverse
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _relax_lines(first, last, stencil, x, rhs, follow):
     """Odd columns 2 first + 1 to 2 last - 1: from the first row to the last, and back."""
     n = len(x)
@@ -204,7 +204,7 @@ def _relax_lines(first, last, stencil, x, rhs, follow):
             x[i, j] += follow[i, k] * x[i + 1, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _subtract_scaled(first, last, rows, response, scale):
     for i in range(first, last):
         for k in range(len(scale)):
@@ -266,7 +266,7 @@ def relax_lines(
         ring.close(x[:, 1::2])
 
 
-@njit(cache=True)
+@kernel
 def _defect_row(stencil, x, i, out):
     """Subtract from a row's `out` (m,) its row of A x, as the flow along every coupling."""
     n, m = x.shape
@@ -286,7 +286,7 @@ def _defect_row(stencil, x, i, out):
         _subtract_flow(out[: m - 1], stencil.below_left[up, 1:], here[: m - 1], above[1:])
 
 
-@njit(cache=True)
+@kernel
 def _product_row(stencil, x, i, out):
     out[:] = 0
     _defect_row(stencil, x, i, out)
@@ -297,7 +297,7 @@ def _product_row(stencil, x, i, out):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _multiply(first, last, stencil, x, out, dots):
     for i in range(first, last):
         dots[i] = _product_row(stencil, x, i, out[i])
@@ -310,7 +310,7 @@ def multiply(stencil: Stencil, x: np.ndarray, out: np.ndarray) -> float:
     return float(dots.sum())
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _measure(first, last, a, b, dots, largest):
     m = a.shape[1]
     for i in range(first, last):
@@ -328,7 +328,7 @@ def measure(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     return float(dots.sum()), float(largest.max())
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn(first, last, z, beta, direction):
     for i in range(first, last):
         for j in range(z.shape[1]):
@@ -340,7 +340,7 @@ def turn(z: np.ndarray, beta: float, direction: np.ndarray) -> None:
     by_ranges(_turn, len(z), least_rows(z), z, z.dtype.type(beta), direction)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _advance(first, last, x, residual, direction, product, step):
     for i in range(first, last):
         for j in range(x.shape[1]):

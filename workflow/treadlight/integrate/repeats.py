@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.laser import LaserCells
 from treadlight.threads import by_ranges
@@ -183,7 +183,7 @@ class _Strip:
         return np.clip(moved, 0, n - 1), (moved >= 0) & (moved < n)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _compare(
     first, last, shifts, cuts, looked, periodic, row, column, deep, weight, known, differs
 ):

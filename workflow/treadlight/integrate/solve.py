@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
+from treadlight.compiling import kernel
 from treadlight.integrate.edges import Edges
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.multigrid import Solver, System
@@ -106,7 +106,7 @@ def _shares(problem: Problem, r: np.ndarray, scale: float) -> tuple[np.ndarray, 
     return share, 1 / np.sqrt(1 + (miss / _LASER_SCALE) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _edge_share(first, last, r, step, weight, photometric, scale, most, share):
     """Geman-McClure's weight relative to the edge's own, which counts as `most` at the most."""
     n, m = r.shape
@@ -164,7 +164,7 @@ def linear_residual(
     return residual.astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_edges(first, last, w_theta, w_z, step, r, residual):
     n, m = r.shape
     for i in range(first, last):

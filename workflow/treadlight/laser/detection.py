@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
+
+from treadlight.compiling import kernel
 
 PEAKS = 4
 """Candidates kept per row: the line, and up to three reflections or neighbouring stripes."""
@@ -206,7 +207,7 @@ def _row_flags(strength: np.ndarray, clipped: np.ndarray, weak_below: float) -> 
     return flags.astype(np.uint8)
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def find_peaks(across, threshold, apart):  # pragma: no cover - compiled
     """Columns of the strongest local maxima of each row.
 
@@ -238,7 +239,7 @@ def find_peaks(across, threshold, apart):  # pragma: no cover - compiled
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _insert(found, row, u, apart):  # pragma: no cover - compiled
     """Put the peak at column `u` into the list, strongest first; rivals too close give way."""
     for k in range(len(found)):
@@ -260,7 +261,7 @@ def _insert(found, row, u, apart):  # pragma: no cover - compiled
     found[place] = u
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def with_integral(weights, node_px):  # pragma: no cover - compiled
     """Filters (m, n) at the nodes from the middle to one past the last, and their integrals.
 
@@ -278,7 +279,7 @@ def with_integral(weights, node_px):  # pragma: no cover - compiled
     return taps
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _integral(x, weight, integral, node_px):  # pragma: no cover - compiled
     """Of the filter from its middle to x >= 0, px."""
     last = len(weight) - 1
@@ -289,7 +290,7 @@ def _integral(x, weight, integral, node_px):  # pragma: no cover - compiled
     return integral[k] + node_px * share * rise
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def filter_response(row, centre, weight, integral, nodes, node_px):  # pragma: no cover - compiled
     """Antisymmetric filter at a sub-pixel centre: positive where the light lies to the right.
 
@@ -308,7 +309,7 @@ def filter_response(row, centre, weight, integral, nodes, node_px):  # pragma: n
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gain(centre, weight, integral, nodes, node_px):  # pragma: no cover - compiled
     """Root of the sum of the squared weights at a centre."""
     reach = (nodes + 1) * node_px + 0.5
@@ -322,7 +323,7 @@ def _gain(centre, weight, integral, nodes, node_px):  # pragma: no cover - compi
     return math.sqrt(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def zero_crossing(
     row, start, weight, integral, nodes, node_px, search
 ):  # pragma: no cover - compiled
@@ -349,7 +350,7 @@ def zero_crossing(
     return centre, (ahead - behind) / (2 * step)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _crossing_with_std(
     row, start, taps, std_px, nodes, node_px, search, noise
 ):  # pragma: no cover - compiled
@@ -361,7 +362,7 @@ def _crossing_with_std(
     return centre, math.sqrt(std_px[nodes - 1] ** 2 + additive**2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_crossing(
     row, start, taps, std_px, nodes, node_px, search, noise
 ):  # pragma: no cover - compiled
@@ -383,7 +384,7 @@ def _best_crossing(
     return best, best_std
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _half_width(row, centre, level, direction):  # pragma: no cover - compiled
     """Distance from the centre to where the row falls below `level`, px, linear between."""
     u = math.floor(centre) if direction < 0 else math.ceil(centre)
@@ -398,7 +399,7 @@ def _half_width(row, centre, level, direction):  # pragma: no cover - compiled
     return max(0.0, abs(inner - centre + direction * min(max(share, 0.0), 1.0)))
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def refine_peaks(
     smooth, found, saturated, weights, std_px, node_px, sigma_px, noise
 ):  # pragma: no cover - compiled

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import nnls
 
+from treadlight.compiling import kernel
 from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
     FWHM,
@@ -311,7 +311,7 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
     return course
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _node_responses(smooth, course, count, node_px):  # pragma: no cover - compiled
     """Responses of each node's hat at the course, half a node ahead and half a node behind."""
     rows = len(course)

@@ -1,8 +1,8 @@
 """Which candidate of each row is the line: the cheapest path along the rows."""
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.laser.detection import Candidates, LineModel
 
 # Costs are natural logarithms of likelihood ratios.
@@ -39,7 +39,7 @@ def select_path(found: Candidates, model: LineModel) -> np.ndarray:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def cheapest_path(own, u, sigma_px, step_cost, empty_cost):  # pragma: no cover - compiled
     """Viterbi over rows; the state after the last peak is the empty row.
 

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from treadlight.compiling import kernel
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def sample(field, row, column):
     """Bilinear; NaN outside and beside NaN."""
     if not (row >= 0.0 and column >= 0.0):
@@ -20,7 +21,7 @@ def sample(field, row, column):
     return top + a * (bottom - top)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def atan(q):
     """Arc tangent to 1e-5 for |q| < 0.4: rays turn little about the axis near the surface.
 
@@ -30,7 +31,7 @@ def atan(q):
     return q * (1.0 - p * (1 / 3 - p * (1 / 5 - p * (1 / 7 - p / 9))))
 
 
-@njit(cache=True)
+@kernel
 def crossings(x, y, dx, dy, radius):
     """Both ray parameters at which |(x, y) + t (dx, dy)| = radius; NaN if never."""
     a = dx * dx + dy * dy

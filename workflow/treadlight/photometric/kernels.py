@@ -7,8 +7,8 @@ refinement; `sps_report` says what has been found.
 import math
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.photometric import lanes
 from treadlight.photometric.lanes import (
     COUNT,
@@ -52,7 +52,7 @@ _OLD_X, _OLD_Y, _OLD_Z, _OLD_KD, _GOOD_X, _GOOD_Y, _GOOD_Z, _GOOD_S, _GOOD_LENGT
 _GOOD_TOP, _PUT, _ACTIVE, _SOLVED, _STATE = range(9, 14)
 
 
-@njit(cache=True)
+@kernel
 def _gather(r, v, first, intensity, lights, views, usable, noise):
     """A block's LEDs side by side; the usable ones of each pixel in COUNT."""
     r[:] = 0
@@ -74,14 +74,14 @@ def _gather(r, v, first, intensity, lights, views, usable, noise):
             v[COUNT][p] += 1
 
 
-@njit(cache=True)
+@kernel
 def _cosines(r, n0, n1, n2):
     """n.l and n.h of all LEDs, in rows NL and NH."""
     lanes.dot(r[LX], r[LY], r[LZ], n0, n1, n2, r[NL])
     lanes.dot(r[HX], r[HY], r[HZ], n0, n1, n2, r[NH])
 
 
-@njit(cache=True)
+@kernel
 def _subtract(r, v, k_d):
     """I_s of eq. 5.28 in row W; its largest value in TOP and how many LEDs count in COUNT."""
     v[TOP][:] = 0
@@ -96,7 +96,7 @@ def _subtract(r, v, k_d):
             v[COUNT][p] += np.float32(1.0) if facing else np.float32(0.0)
 
 
-@njit(cache=True)
+@kernel
 def _pass(r, v, bits, sums, k_d, views, by_intensity, again):
     """Algorithm 2 or 3 on what k_d leaves; lanes with no normal to find are not SOUND then."""
     _subtract(r, v, k_d)
@@ -118,7 +118,7 @@ def _pass(r, v, bits, sums, k_d, views, by_intensity, again):
             v[SOUND][p] = 0
 
 
-@njit(cache=True)
+@kernel
 def _power(base, exponent):
     """base^exponent, 0 of what is not positive.
 
@@ -127,7 +127,7 @@ def _power(base, exponent):
     return math.exp2(min(exponent * math.log2(base), 100.0)) if base > 0.0 else 0.0
 
 
-@njit(cache=True)
+@kernel
 def _find_darkest(r, v):
     """The usable LED whose gloss is least (eq. 5.26): its number, n.h, n.l and light; -1 if none.
 
@@ -146,7 +146,7 @@ def _find_darkest(r, v):
             least[p] = nh if lower else least[p]
 
 
-@njit(cache=True)
+@kernel
 def _diffuse(v, state, p):
     """k_d from the darkest LED (eq. 5.27), never negative."""
     if v[DARKEST][p] < 0:
@@ -157,7 +157,7 @@ def _diffuse(v, state, p):
     return max(0.0, (v[DARK_LIGHT][p] - gloss) / v[DARK_NL][p])
 
 
-@njit(cache=True)
+@kernel
 def _accept(v, state):
     """Keep what a pass found, and what it stood on, where it is SOUND and still wanted."""
     for p in range(PIXELS):
@@ -173,7 +173,7 @@ def _accept(v, state):
         state[_SOLVED, p] = 1
 
 
-@njit(cache=True)
+@kernel
 def _refine(r, v, bits, sums, state, by_intensity, refinements, converged2, views):
     """Algorithm 4's steps 2 to 6; a refinement that leaves nothing to fit is undone.
 
@@ -202,7 +202,7 @@ def _refine(r, v, bits, sums, state, by_intensity, refinements, converged2, view
             state[_PUT, p] = found
 
 
-@njit(cache=True)
+@kernel
 def _stand_again(r, v, bits, state, by_intensity):
     """Rows and lanes as the last good pass of each pixel had them, but its own normal's cosines."""
     for p in range(PIXELS):
@@ -219,7 +219,7 @@ def _stand_again(r, v, bits, state, by_intensity):
     _find_darkest(r, v)
 
 
-@njit(cache=True)
+@kernel
 def _count_all(r, state):
     """Every usable LED counts until there is a normal for it to be behind of."""
     for m in range(r[NL].shape[0]):
@@ -228,7 +228,7 @@ def _count_all(r, state):
                 r[NL][m, p] = 1.0
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _lobes(v, state, refined):
     """k_d (of algorithm 4; else 0), 1 / alpha, the length of N and the brightest gloss."""
     lobes = np.zeros((4, PIXELS))
@@ -240,7 +240,7 @@ def _lobes(v, state, refined):
     return lobes
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def fit_pixels(
     begin, end, intensity, lights, views, usable, noise,
     algorithm, refinements, converged_rad, misfit2, prior_weight, out,

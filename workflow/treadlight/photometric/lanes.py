@@ -15,9 +15,12 @@ y_m = w_m exp2(s x_m), and its derivatives by s are as cheap as itself.
 """
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
+from numba.extending import intrinsic
+
+from treadlight.compiling import kernel
 
 PIXELS = 64
 ALPHA_MAX = 1024.0
@@ -51,11 +54,27 @@ _A1, _A3, _A5, _A7 = (np.float32(2 / (k * LN2)) for k in (1, 3, 5, 7))
 _E1, _E2, _E3, _E4, _E5, _E6 = (np.float32(LN2**k / math.factorial(k)) for k in range(1, 7))
 
 
-@njit(cache=True, inline="always")
+def _fma(context, a, b, c):
+    def generate(context, builder, signature, arguments):
+        return builder.fma(*arguments)
+
+    return a(a, a, a), generate
+
+
+# a b + c, rounded once: said instead of left to the compiler, whose choice may change.
+fma: Any = intrinsic(_fma)
+
+
+@kernel(inline="always")
 def exp2(x):
     """2^x for -40 <= x <= 0 to 2e-6, as (2^(x/32))^32: no exponent bits to assemble."""
     f = x * np.float32(1 / 32)
-    p = np.float32(1.0) + f * (_E1 + f * (_E2 + f * (_E3 + f * (_E4 + f * (_E5 + f * _E6)))))
+    p = fma(f, _E6, _E5)
+    p = fma(f, p, _E4)
+    p = fma(f, p, _E3)
+    p = fma(f, p, _E2)
+    p = fma(f, p, _E1)
+    p = fma(f, p, np.float32(1.0))
     p *= p
     p *= p
     p *= p
@@ -63,7 +82,7 @@ def exp2(x):
     return p * p
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _log2(bits, mantissa, mantissa_bits, x):
     """log2 to 1e-7 in x: 2^e f with f about 1, and the series of artanh for f.
 
@@ -83,7 +102,7 @@ def _log2(bits, mantissa, mantissa_bits, x):
             x[m, p] += t * (_A1 + t2 * (_A3 + t2 * (_A5 + t2 * _A7)))
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _share(part, w, top):
     """w over the pixel's brightest, but not nothing, in part."""
     for m in range(w.shape[0]):
@@ -91,7 +110,7 @@ def _share(part, w, top):
             part[m, p] = max(w[m, p] / max(top[p], np.float32(1e-30)), _DARKEST)
 
 
-@njit(cache=True)
+@kernel
 def weigh(r, v, bits, by_intensity):
     """From I_s in row W: its share of TOP in PART, the logarithm in X, and weights in W.
 
@@ -106,7 +125,7 @@ def weigh(r, v, bits, by_intensity):
     _log2(bits[0], r[Y], bits[1], r[X])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _multiply_add(total, x, y):
     """total += x y, LED by LED."""
     for m in range(x.shape[0]):
@@ -114,7 +133,7 @@ def _multiply_add(total, x, y):
             total[p] += x[m, p] * y[m, p]
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _sum_of(total, w, x, y):
     """The sum of w2 x y over the LEDs, in double precision: differences of these are pivots."""
     total[:] = 0
@@ -124,7 +143,7 @@ def _sum_of(total, w, x, y):
             total[p] += weighted * (np.float64(w[m, p]) * np.float64(y[m, p]))
 
 
-@njit(cache=True)
+@kernel
 def factorise(r, v, sums):
     """Cholesky factor of H'H (eq. 5.22) and the orthonormal rows Q = L^-1 (w h)'.
 
@@ -155,7 +174,7 @@ def factorise(r, v, sums):
     _orthonormalise(r, v)
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _orthonormalise(r, v):
     q0, q1, q2, w = r[Q0], r[Q1], r[Q2], r[W]
     for m in range(w.shape[0]):
@@ -172,7 +191,7 @@ def _orthonormalise(r, v):
             q2[m, p] = (q2[m, p] - v[L21][p] * q1[m, p]) / v[L22][p]
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _powers(w, x, s, y):
     """y = w exp2(s x)."""
     for m in range(x.shape[0]):
@@ -180,7 +199,7 @@ def _powers(w, x, s, y):
             y[m, p] = w[m, p] * exp2(x[m, p] * s[p])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _project_out(y, q0, q1, q2, c0, c1, c2, out):
     """out = (1 - Q Q') y, and the projections on the rows of Q in c0 to c2."""
     c0[:] = 0
@@ -194,7 +213,7 @@ def _project_out(y, q0, q1, q2, c0, c1, c2, out):
             out[m, p] = y[m, p] - c0[p] * q0[m, p] - c1[p] * q1[m, p] - c2[p] * q2[m, p]
 
 
-@njit(cache=True)
+@kernel
 def _costs(r, v, s):
     """Eq. 5.23 at alpha = 1/s, with the best N for it, in lanes COST."""
     _powers(r[W], r[X], s, r[Y])
@@ -203,7 +222,7 @@ def _costs(r, v, s):
     _multiply_add(v[COST], r[R], r[R])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _slopes(r, v):
     """First and second derivative of half the cost by s (in units of ln 2)."""
     y, x, d = r[Y], r[X], r[D]
@@ -223,7 +242,7 @@ def _slopes(r, v):
     _multiply_add(v[SECOND], r[R], d)
 
 
-@njit(cache=True)
+@kernel
 def _descend(r, v):
     """The minimum between LOW and HIGH where MOVING: Newton steps, bisecting when they leave."""
     s, low, high, moving = v[S], v[LOW], v[HIGH], v[MOVING]
@@ -249,7 +268,7 @@ def _descend(r, v):
             break
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def search(r, v):
     """s = 1/alpha of least cost where SOUND: the best point of the grid, then beside it.
 
@@ -271,7 +290,7 @@ def search(r, v):
     _descend(r, v)
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def follow(r, v):
     """S after a refinement: the minimum near the last one, or the grid's where that is gone."""
     floor, ceiling = np.empty(PIXELS, np.float32), np.empty(PIXELS, np.float32)
@@ -290,13 +309,13 @@ def follow(r, v):
         search(r, v)
 
 
-@njit(cache=True)
+@kernel
 def powers(r, v):
     """w exp2(s x) in row Y."""
     _powers(r[W], r[X], v[S], r[Y])
 
 
-@njit(cache=True)
+@kernel
 def solve(r, v):
     """The direction of eq. 5.22's N at S in N0 to N2, and its LENGTH."""
     powers(r, v)
@@ -311,7 +330,7 @@ def solve(r, v):
         v[N0][p], v[N1][p], v[N2][p], v[LENGTH][p] = x / length, y / length, z / length, length
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def dot(x, y, z, n0, n1, n2, out):
     """Scalar products of the LEDs' vectors with the pixels'."""
     for m in range(x.shape[0]):

@@ -7,9 +7,9 @@ places in flat arrays are constants, so that the compiler sees that no two overl
 import math
 
 import numpy as np
-from numba import njit
 
-from treadlight.photometric.lanes import exp2
+from treadlight.compiling import kernel
+from treadlight.photometric.lanes import exp2, fma
 
 LANES = 32
 LEAST_NH = np.float32(0.02)
@@ -31,7 +31,7 @@ LX, LY, LZ, HX, HY, HZ, LIGHT, DARK, SHARP, BRIGHT = rows(10)
 LED = 10 * LANES
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def log2_and_inverse(x):
     """log2 and 1 / x for 0.02 <= x <= 1: a square root, one division, the series of atanh.
 
@@ -41,23 +41,23 @@ def log2_and_inverse(x):
     inverse = ONE / ((y + ONE) * x)
     t = (y - ONE) * x * inverse
     s = t * t
-    p = np.float32(1 / 13) * s + np.float32(1 / 11)
-    p = p * s + np.float32(1 / 9)
-    p = p * s + np.float32(1 / 7)
-    p = p * s + np.float32(1 / 5)
-    p = p * s + np.float32(1 / 3)
-    p = p * s + ONE
+    p = fma(np.float32(1 / 13), s, np.float32(1 / 11))
+    p = fma(p, s, np.float32(1 / 9))
+    p = fma(p, s, np.float32(1 / 7))
+    p = fma(p, s, np.float32(1 / 5))
+    p = fma(p, s, np.float32(1 / 3))
+    p = fma(p, s, ONE)
     return np.float32(4.0) * LOG2E * t * p, (y + ONE) * inverse
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def exp(x):
     """e^x for |x| <= 1 to 1e-6."""
     y = exp2(np.float32(-abs(x)) * LOG2E)
     return y if x < 0 else ONE / y
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def either(first, new, old):
     """`new` where `first`, else `old`: a sum, since a choice becomes a branch around the store."""
     return (new if first else ZERO) + (ZERO if first else old)

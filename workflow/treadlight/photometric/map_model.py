@@ -7,9 +7,9 @@ About 130 operations per pixel and LED.
 """
 
 import numpy as np
-from numba import njit
 
-from treadlight.photometric.lanes import exp2
+from treadlight.compiling import kernel
+from treadlight.photometric.lanes import exp2, fma
 from treadlight.photometric.map_lanes import (
     DARKEST,
     HX,
@@ -50,7 +50,7 @@ GLOSS, DIFFUSE, _POWER, _SLOPE, _LIT, _MISS, _WEIGHT, _J0, _J1, K_D = rows(10)
 WORK = 10 * LANES
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tangents(state, t):
     """Two unit vectors across n (Duff et al. 2017, for either sign of n_z)."""
     for k in range(LANES):
@@ -66,17 +66,17 @@ def tangents(state, t):
         t[VZ + k] = -y
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(error_model="numpy", inline="always")
 def _look(led, state, k):
     """n.l, whether it is lit, log2 (n.h) and 1 / n.h of one LED and lane."""
     x, y, z = state[X + k], state[Y + k], state[Z + k]
-    nl = led[LX + k] * x + led[LY + k] * y + led[LZ + k] * z
-    nh = led[HX + k] * x + led[HY + k] * y + led[HZ + k] * z
+    nl = fma(led[LX + k], x, fma(led[LY + k], y, led[LZ + k] * z))
+    nh = fma(led[HX + k], x, fma(led[HY + k], y, led[HZ + k] * z))
     power, inverse_nh = log2_and_inverse(min(max(nh, LEAST_NH), ONE))
     return nl, ONE if nl > 0 else ZERO, power, inverse_nh
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def shade(led, state, work, squarings):
     """Gloss and diffuse light of one LED, and the gloss's relative slopes by ln alpha and n.h.
 
@@ -88,7 +88,7 @@ def shade(led, state, work, squarings):
         _shade_trowbridge_reitz(led, state, work, squarings)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _shade_blinn_phong(led, state, work):
     """k_s (n.h)^alpha (eq. 5.1)."""
     for k in range(LANES):
@@ -102,7 +102,7 @@ def _shade_blinn_phong(led, state, work):
         work[_LIT + k] = work[K_D + k] * lit
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _shade_trowbridge_reitz(led, state, work, squarings):
     """k_s (1 - alpha ln(n.h) / gamma)^-gamma, gamma = 2^squarings: as sharp, with longer tails."""
     share = LN2 / np.float32(2.0**squarings)
@@ -124,30 +124,31 @@ def _shade_trowbridge_reitz(led, state, work, squarings):
         work[_SLOPE + k] *= gloss
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _weigh(led, work, eq):
     """Standardised residual, its robust weight, and the cost of one LED."""
     for k in range(LANES):
         r = (led[LIGHT + k] - work[GLOSS + k] - work[DIFFUSE + k]) * led[SHARP + k]
-        g = ONE / (ONE + r * r * _ROBUST)
+        g = ONE / fma(r * r, _ROBUST, ONE)
         work[_MISS + k] = r
         work[_WEIGHT + k] = g * g
-        eq[COST + k] += r * r * g
+        eq[COST + k] = fma(r * r, g, eq[COST + k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _tilt(led, t, work):
     """Derivatives of one LED's standardised model by the two tilts."""
     for k in range(LANES):
         lx, ly, lz = led[LX + k], led[LY + k], led[LZ + k]
         hx, hy, hz = led[HX + k], led[HY + k], led[HZ + k]
         lit, slope, sharp = work[_LIT + k], work[_SLOPE + k], led[SHARP + k]
-        gx, gy, gz = lit * lx + slope * hx, lit * ly + slope * hy, lit * lz + slope * hz
-        work[_J0 + k] = (gx * t[UX + k] + gy * t[UY + k] + gz * t[UZ + k]) * sharp
-        work[_J1 + k] = (gx * t[VX + k] + gy * t[VY + k] + gz * t[VZ + k]) * sharp
+        lit, slope = lit * sharp, slope * sharp
+        gx, gy, gz = fma(lit, lx, slope * hx), fma(lit, ly, slope * hy), fma(lit, lz, slope * hz)
+        work[_J0 + k] = fma(gx, t[UX + k], fma(gy, t[UY + k], gz * t[UZ + k]))
+        work[_J1 + k] = fma(gx, t[VX + k], fma(gy, t[VY + k], gz * t[VZ + k]))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _accumulate(led, state, work, eq):
     """Add one LED to the normal equations."""
     for k in range(LANES):
@@ -156,29 +157,29 @@ def _accumulate(led, state, work, eq):
         x0, x1, x2, x4 = work[_J0 + k], work[_J1 + k], gloss + diffuse, diffuse
         x3 = gloss * state[ALPHA + k] * work[_POWER + k] * LN2
         w0, w1, w2, w3, w4 = w * x0, w * x1, w * x2, w * x3, w * x4
-        eq[A00 + k] += w0 * x0
-        eq[A01 + k] += w0 * x1
-        eq[A02 + k] += w0 * x2
-        eq[A03 + k] += w0 * x3
-        eq[A04 + k] += w0 * x4
-        eq[A11 + k] += w1 * x1
-        eq[A12 + k] += w1 * x2
-        eq[A13 + k] += w1 * x3
-        eq[A14 + k] += w1 * x4
-        eq[A22 + k] += w2 * x2
-        eq[A23 + k] += w2 * x3
-        eq[A24 + k] += w2 * x4
-        eq[A33 + k] += w3 * x3
-        eq[A34 + k] += w3 * x4
-        eq[A44 + k] += w4 * x4
-        eq[B0 + k] += w0 * r
-        eq[B1 + k] += w1 * r
-        eq[B2 + k] += w2 * r
-        eq[B3 + k] += w3 * r
-        eq[B4 + k] += w4 * r
+        eq[A00 + k] = fma(w0, x0, eq[A00 + k])
+        eq[A01 + k] = fma(w0, x1, eq[A01 + k])
+        eq[A02 + k] = fma(w0, x2, eq[A02 + k])
+        eq[A03 + k] = fma(w0, x3, eq[A03 + k])
+        eq[A04 + k] = fma(w0, x4, eq[A04 + k])
+        eq[A11 + k] = fma(w1, x1, eq[A11 + k])
+        eq[A12 + k] = fma(w1, x2, eq[A12 + k])
+        eq[A13 + k] = fma(w1, x3, eq[A13 + k])
+        eq[A14 + k] = fma(w1, x4, eq[A14 + k])
+        eq[A22 + k] = fma(w2, x2, eq[A22 + k])
+        eq[A23 + k] = fma(w2, x3, eq[A23 + k])
+        eq[A24 + k] = fma(w2, x4, eq[A24 + k])
+        eq[A33 + k] = fma(w3, x3, eq[A33 + k])
+        eq[A34 + k] = fma(w3, x4, eq[A34 + k])
+        eq[A44 + k] = fma(w4, x4, eq[A44 + k])
+        eq[B0 + k] = fma(w0, r, eq[B0 + k])
+        eq[B1 + k] = fma(w1, r, eq[B1 + k])
+        eq[B2 + k] = fma(w2, r, eq[B2 + k])
+        eq[B3 + k] = fma(w3, r, eq[B3 + k])
+        eq[B4 + k] = fma(w4, r, eq[B4 + k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _add_prior(state, material, eq):
     mean_a, mean_r, aa, ar, rr = material[0], material[1], material[2], material[3], material[4]
     for k in range(LANES):
@@ -192,7 +193,7 @@ def _add_prior(state, material, eq):
         eq[COST + k] += x * gx + y * gy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def evaluate(leds, state, t, work, material, eq):
     """Normal equations and cost of a block's state; `material` as `Material.packed` has it."""
     eq[:] = ZERO

@@ -1,8 +1,8 @@
 """What a fit of many pixels side by side has found: results, residuals and covariances."""
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.photometric.map_descent import DAMPING, S0, S1, S3, S4, solve
 from treadlight.photometric.map_lanes import BRIGHT, LANES, LED, LIGHT, ONE, SHARP, ZERO
 from treadlight.photometric.map_model import (
@@ -33,7 +33,7 @@ RESIDUAL, LEDS, FOUND_COST, CXX = range(6, 10)
 FOUND_LN_ALPHA, FOUND_LN_RATIO, CAA, CAR, CRR, RESULTS = range(15, 21)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy", allocates=True)
 def rerender(leds, state, work, squarings, found):
     """Mean relative error (eq. 5.30) over LEDs above three sigma, and how many LEDs there are."""
     relative, used = found[RESIDUAL * LANES :], found[LEDS * LANES :]
@@ -53,7 +53,7 @@ def rerender(leds, state, work, squarings, found):
         relative[k] /= bright[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy", allocates=True)
 def covariances(eq, t, step, found):
     """Of the normal's components, and of the material's logarithms, from the inverse equations."""
     step[DAMPING : DAMPING + LANES] = ZERO
@@ -77,7 +77,7 @@ def covariances(eq, t, step, found):
         found[CAA * LANES + k], found[CAR * LANES + k] = step[S3 + k], step[S4 + k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _unit_solution(eq, row, step):
     """A row of the normal equations' inverse."""
     eq[B0 : B4 + LANES] = ZERO
@@ -85,7 +85,7 @@ def _unit_solution(eq, row, step):
     solve(eq, step)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def report(found, state, eq, views, first, count, out):
     """Write a block's results; NaN, but for the count of LEDs, where there is no normal."""
     for k in range(LANES):

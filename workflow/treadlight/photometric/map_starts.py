@@ -9,9 +9,9 @@ stand alike, as those of neighbours do.
 import math
 
 import numpy as np
-from numba import njit
 
-from treadlight.photometric.lanes import exp2
+from treadlight.compiling import kernel
+from treadlight.photometric.lanes import exp2, fma
 from treadlight.photometric.map_lanes import (
     DARKEST,
     LANES,
@@ -46,7 +46,7 @@ _WEIGHED = _SCORE = 2 * LANES
 _TOGETHER = 4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy", allocates=True)
 def starts_desk(n_leds):
     """Room for `choose_starts` to work in, used anew for every block.
 
@@ -68,7 +68,7 @@ def starts_desk(n_leds):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _show(led, normals, alpha, ratio, squarings, shown):
     """What one LED shows of unit gloss at all directions."""
     lx, ly, lz, hx, hy, hz = led[0], led[1], led[2], led[3], led[4], led[5]
@@ -87,7 +87,7 @@ def _show(led, normals, alpha, ratio, squarings, shown):
         shown[j] = (shown[j] + ratio * nl) * (ONE if nl > 0 else ZERO)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _make_dictionary(lights, view, base, material, place, normals, book):
     """Directions about the view, and what the usual material shows at each, (LEDs, directions)."""
     x, y, z = view[0], view[1], view[2]
@@ -112,7 +112,7 @@ def _make_dictionary(lights, view, base, material, place, normals, book):
         _show(place[m], normals, alpha, ratio, int(material[5]), book[m])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _serve(leds, place, waiting, served):
     """Which of the waiting lanes have their usable LEDs where the dictionary has them."""
     for k in range(LANES):
@@ -127,7 +127,7 @@ def _serve(leds, place, waiting, served):
                 served[k] = served[k] if alike or not led[SHARP + k] > 0 else ZERO
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _weigh(leds, weighed):
     """Squared sharpness of the LEDs, with and without their light, as `_match` wants them."""
     for m in range(len(leds) // LED):
@@ -139,7 +139,7 @@ def _weigh(leds, weighed):
             row[LANES + k] = sharp2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _match(weighed, book, score):
     """How much of each lane's light a direction explains, and with which strength."""
     for j in range(DIRECTIONS):
@@ -150,25 +150,18 @@ def _match(weighed, book, score):
             a, b, c, d = book[m, j], book[m + 1, j], book[m + 2, j], book[m + 3, j]
             aa, bb, cc, dd = a * a, b * b, c * c, d * d
             for k in range(LANES):
-                at[k] += (
-                    led[k] * a
-                    + led[2 * LANES + k] * b
-                    + led[4 * LANES + k] * c
-                    + led[6 * LANES + k] * d
-                )
-                at[LANES + k] += (
-                    led[LANES + k] * aa
-                    + led[3 * LANES + k] * bb
-                    + led[5 * LANES + k] * cc
-                    + led[7 * LANES + k] * dd
-                )
+                e, f = fma(led[k], a, at[k]), fma(led[LANES + k], aa, at[LANES + k])
+                e, f = fma(led[2 * LANES + k], b, e), fma(led[3 * LANES + k], bb, f)
+                e, f = fma(led[4 * LANES + k], c, e), fma(led[5 * LANES + k], cc, f)
+                at[k] = fma(led[6 * LANES + k], d, e)
+                at[LANES + k] = fma(led[7 * LANES + k], dd, f)
         for k in range(LANES):
             strength = at[k] / (at[LANES + k] + np.float32(1e-20))
             at[k] *= strength
             at[LANES + k] = strength
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _pick(score, normals, start, former, earlier, best):
     """The best direction of each lane that is apart from the two chosen before."""
     best[:LANES] = -ONE
@@ -189,7 +182,7 @@ def _pick(score, normals, start, former, earlier, best):
         start[START_KS + k] = score[j * _SCORE + LANES + k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _middle(waiting):
     """The middle one of the lanes that wait, -1 if none does."""
     half = waiting.sum() / 2
@@ -201,7 +194,7 @@ def _middle(waiting):
     return -1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def choose_starts(leds, lights, views, first, count, base, material, starts, desk):
     """Normals and strengths to start each lane from: (STARTS, START), a flat block of rows each.
 

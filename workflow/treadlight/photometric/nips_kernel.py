@@ -8,8 +8,8 @@ the step.
 import math
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.photometric.lanes import ALPHA_MAX
 
 # A wide lobe: it pulls the normal from further away than a narrow one.
@@ -28,7 +28,7 @@ _I, _L, _H, _NOISE, _COLUMNS = 0, 1, 4, 7, 8
 NX, NY, NZ, KD, KS, ALPHA, RESIDUAL, CXX, RESULTS = *range(8), 13
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _invert(mat):
     """Invert a symmetric positive matrix in place; what is not determined gets a huge variance."""
     size = mat.shape[0]
@@ -45,7 +45,7 @@ def _invert(mat):
                     mat[i, j] -= factor * mat[k, j]
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _gather(table, k, intensity, lights, views, usable, noise):
     """One pixel's usable LEDs, intensities over the brightest; their number and the brightest."""
     count, brightest = 0, 0.0
@@ -67,12 +67,12 @@ def _gather(table, k, intensity, lights, views, usable, noise):
     return count, brightest
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _render(led, n, x):
     """Eq. 5.1 for one LED: the whole, the gloss per k_s, n.l and n.h; all 0 behind the surface."""
     nl = _dot(n, led[_L:_H])
@@ -83,7 +83,7 @@ def _render(led, n, x):
     return x[_KD] * nl + x[_KS] * gloss, gloss, nl, nh
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _cost(table, count, n, x):
     total = 0.0
     for m in range(count):
@@ -92,7 +92,7 @@ def _cost(table, count, n, x):
     return total
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _tangents(n, frame):
     """Two unit vectors across n, in the rows of frame."""
     least = np.argmin(np.abs(n))
@@ -103,7 +103,7 @@ def _tangents(n, frame):
     frame[1] = np.cross(n, frame[0])
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _linearise(table, count, n, x, frame, matrix, gradient):
     """J'J and J'r at a normal and the other unknowns."""
     matrix[:] = 0.0
@@ -126,7 +126,7 @@ def _linearise(table, count, n, x, frame, matrix, gradient):
                 matrix[i, j] += row[i] * row[j]
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _freeze(x, gradient, matrix):
     """Take out of the equations what stands at a bound and is pushed outwards."""
     for i in range(_LOG_ALPHA, UNKNOWNS):
@@ -138,7 +138,7 @@ def _freeze(x, gradient, matrix):
             gradient[i] = 0.0
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _start(x):
     """Half of the brightest LED's light diffuse, half gloss."""
     x[:] = 0.0
@@ -146,7 +146,7 @@ def _start(x):
     x[_KD], x[_KS] = 0.5, 0.5
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _step(n, x, frame, step, n_new, x_new):
     for i in range(3):
         n_new[i] = n[i] + step[_TILT_1] * frame[0, i] + step[_TILT_2] * frame[1, i]
@@ -156,7 +156,7 @@ def _step(n, x, frame, step, n_new, x_new):
     x_new[_LOG_ALPHA] = min(x_new[_LOG_ALPHA], math.log(ALPHA_MAX))
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _fit(table, count, view, n, x, frame, matrix, gradient):
     """Levenberg-Marquardt from n and x, which it moves; returns the cost.
 
@@ -193,7 +193,7 @@ def _fit(table, count, view, n, x, frame, matrix, gradient):
     return cost
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _covariance(table, count, n, x, frame, matrix, gradient, cost, out):
     """Of the normal, from J'J and what the fit leaves, but no less than the noise."""
     _tangents(n, frame)
@@ -212,7 +212,7 @@ def _covariance(table, count, n, x, frame, matrix, gradient, cost, out):
             k += 1
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _residual(table, count, n, x):
     """Eq. 5.30 as a mean over the LEDs above three sigma of the noise."""
     relative, bright = 0.0, 0
@@ -223,7 +223,7 @@ def _residual(table, count, n, x):
     return relative / bright if bright else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def fit_pixels(begin, end, intensity, lights, views, usable, noise, start, out):
     """The full model at pixels begin to end - 1.
 

@@ -8,8 +8,8 @@ operations and reads some 100 cells, nearly all of which its neighbours have rea
 import math
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.photometric.height_field import atan, crossings, sample
 
 # Cells along a side of the blocks whose tops are known.
@@ -19,7 +19,7 @@ _MAX_STEPS = 4096
 _TOLERANCE_MM, _MAX_REFINEMENTS = 1e-6, 24
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cast(
     first, last, r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell,
     origin, directions, found,
@@ -32,7 +32,7 @@ def cast(
         )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def _cast_one(r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell, origin, ray, found):
     x0, y0, zc = origin
     dx, dy, dz = ray
@@ -65,7 +65,7 @@ def _cast_one(r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell, origin,
     found[2] = math.hypot(x, y)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _at(place, t):
     """Row, column and radius of a ray's point."""
     phi_0, step_phi, z_0, step_z, start, phi, z, radial, tangential, dz = place
@@ -74,14 +74,14 @@ def _at(place, t):
     return row, (z + t * dz - z_0) / step_z, math.sqrt(x * x + y * y)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _gap(r, place, t):
     """Height of a ray's point over the surface below it, mm."""
     row, column, level = _at(place, t)
     return level - sample(r, row, column)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _cells_per_step(place, r_min, span, steps):
     """How many rows or columns a ray advances in a step, at most; infinite where nobody knows."""
     _, step_phi, _, step_z, start, _, _, radial, tangential, dz = place
@@ -94,7 +94,7 @@ def _cells_per_step(place, r_min, span, steps):
     return max(turn / step_phi, abs(dz) / step_z) * span / steps
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _first_below(r, tops, place, span, steps, cells_per_step):
     """Number of the first step at or below the surface, -1 if there is none.
 
@@ -117,7 +117,7 @@ def _first_below(r, tops, place, span, steps, cells_per_step):
     return -1
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _top(tops, size, row, column):
     """The highest surface less than a block from a place; beside the grid, that of its border."""
     i = min(max(int(row), 0) // size, tops.shape[0] - 1)
@@ -125,7 +125,7 @@ def _top(tops, size, row, column):
     return tops[i, j]
 
 
-@njit(cache=True)
+@kernel
 def _meet(r, place, low, above, high):
     """The ray's parameter at the surface, between a point above and one below (Illinois)."""
     below = _gap(r, place, high)

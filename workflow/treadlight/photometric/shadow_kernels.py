@@ -7,8 +7,8 @@ their way to an LED they could meet anything at all: elsewhere none of them need
 import math
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.photometric.height_field import atan, crossings, sample
 
 # Cells along a side of the blocks whose highest surface is known.
@@ -21,14 +21,14 @@ _PARTS = _TILE_ROWS // _PART_ROWS * _ACROSS
 _MAX_STEPS = 4096
 
 
-@njit(cache=True)
+@kernel
 def tiles(width, pixels):
     """How many rows and columns of tiles there are among pixels of so many a row."""
     rows = (pixels + width - 1) // width
     return (rows + _TILE_ROWS - 1) // _TILE_ROWS, (width + _TILE_COLUMNS - 1) // _TILE_COLUMNS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lit(
     first, last, r, r_std, obstacles, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
     points, leds, width, out,
@@ -44,7 +44,7 @@ def lit(
         _lit_tile(field, obstacles, crests, points, leds, width, row, column, out)
 
 
-@njit(cache=True)
+@kernel(allocates=True)
 def _lit_tile(field, obstacles, crests, points, leds, width, row, column, out):
     """A tile's pixels; where they need look, parts of the tile are asked first."""
     whole = _bounds(field, points, width, row, column, _TILE_ROWS, _TILE_COLUMNS)
@@ -64,7 +64,7 @@ def _lit_tile(field, obstacles, crests, points, leds, width, row, column, out):
             _lit_part(field, crests, points, leds[m], width, v, u, begin, end, out[m])
 
 
-@njit(cache=True)
+@kernel
 def _lit_part(field, crests, points, led, width, row, column, near, far, out):
     """The pixels of a part of a tile, which could meet something between two shares of the way."""
     for v in range(row, row + _PART_ROWS):
@@ -83,7 +83,7 @@ def _lit_part(field, crests, points, led, width, row, column, near, far, out):
             )
 
 
-@njit(cache=True)
+@kernel
 def _bounds(field, points, width, row, column, rows, columns):
     """What holds of all known points of a tile: NaN if there are none.
 
@@ -108,13 +108,13 @@ def _bounds(field, points, width, row, column, rows, columns):
     )  # fmt: skip
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _variance(r_std, row, column):
     std = sample(r_std, row, column)
     return 0.0 if math.isnan(std) else std * std
 
 
-@njit(cache=True)
+@kernel
 def _doubtful(field, obstacles, bounds, led):
     """Between which shares of their way to an LED points within bounds could meet the surface.
 
@@ -162,7 +162,7 @@ def _doubtful(field, obstacles, bounds, led):
     return near, far
 
 
-@njit(cache=True)
+@kernel
 def _may_hide(obstacles, row, last_row, column, last_column, level, variance):
     """Whether any surface of these rows and columns could stand above a level and its doubt."""
     tops, stds = obstacles
@@ -180,7 +180,7 @@ def _may_hide(obstacles, row, last_row, column, last_column, level, variance):
     return False
 
 
-@njit(cache=True)
+@kernel
 def _blocked(field, crests, phi, z, height, radial, tangential, dz, near, far):
     """Whether the surface hides the light at (radial, tangential, dz) from a point.
 

@@ -6,14 +6,14 @@ A pixel and LED takes some 30 operations in double precision, and reads 13 and w
 import math
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.photometric.observations import OUTSIDE, SATURATED, SHADOWED
 
 _RUN = 512
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy", allocates=True)
 def observe(
     begin, end, points, counts, irradiance, dark, lit, leds, camera,
     intensity, noise, lights, views, usable, quality,
@@ -63,7 +63,7 @@ def observe(
                     quality[k] |= SATURATED if math.isnan(count) else np.uint8(0)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _unit_vector(c, s, r, z, target):
     """From a point (cosine and sine of phi, r, z) to a place, both in {V}, in its own basis."""
     x, y, z = c * target[0] + s * target[1] - r, c * target[1] - s * target[0], target[2] - z

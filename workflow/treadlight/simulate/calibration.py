@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from treadlight.archive.manifest import Board
+from treadlight.compiling import kernel
 from treadlight.geometry import Led
 from treadlight.simulate import kernels
 from treadlight.simulate.render import CARD_ALBEDO, MANY_PIXELS, beam_irradiance
@@ -75,7 +75,7 @@ def _rays(image: np.ndarray) -> np.ndarray:
     return (np.column_stack([np.arange(count), mirrored]) + 0.5) / count - 0.5
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _render_board(first, last, out, rays, lens, pose, shape, plane, sigma, source):
     weight = 1.0 / len(rays)
     nx, ny, square = shape[0] + 1, shape[1] + 1, shape[2]
@@ -141,7 +141,7 @@ def _plane_with_balls(sim: SimulatedRig, led: int, balls: np.ndarray) -> np.ndar
     return out
 
 
-@njit(cache=True)
+@kernel
 def _sphere(o, d, centre, radius):
     """Ray parameter at which a ray of unit direction enters a sphere; -1 where it does not."""
     mx, my, mz = o[0] - centre[0], o[1] - centre[1], o[2] - centre[2]
@@ -152,7 +152,7 @@ def _sphere(o, d, centre, radius):
     return -b - np.sqrt(discriminant)
 
 
-@njit(cache=True)
+@kernel
 def _nearest(o, d, balls, radius):
     best, which = 1e30, -1
     for k in range(balls.shape[0]):
@@ -162,7 +162,7 @@ def _nearest(o, d, balls, radius):
     return best, which
 
 
-@njit(cache=True)
+@kernel
 def _card_light(o, d, plane, lamp, balls, radius):
     """Light of the card where a ray meets it, 0 in a ball's shadow or where it never does."""
     slope = plane[0] * d[0] + plane[1] * d[1] + plane[2] * d[2]
@@ -184,7 +184,7 @@ def _card_light(o, d, plane, lamp, balls, radius):
     return CARD_ALBEDO * nl * beam_irradiance(lamp[6], beam, d2)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _render_plane(first, last, out, rays, lens, plane, lamp, balls, radius):
     weight = 1.0 / len(rays)
     o = (0.0, 0.0, 0.0)

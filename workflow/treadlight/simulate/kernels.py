@@ -7,7 +7,8 @@ named below.
 """
 
 import numpy as np
-from numba import njit
+
+from treadlight.compiling import kernel
 
 # Entries of `meta`.
 THETA0, INV_STEP_THETA, Z0, INV_STEP_Z, RADIAL, R_MAX, R_MIN, WRAPS, STEP_MM = range(9)
@@ -15,7 +16,7 @@ OUTSIDE = -1.0e9
 _TWO_PI = 2 * np.pi
 
 
-@njit(cache=True)
+@kernel
 def undistorted(u, v, lens):
     """Ray (x, y, 1) of a pixel; `lens` is fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     xd = (u - lens[2]) / lens[0]
@@ -31,7 +32,7 @@ def undistorted(u, v, lens):
     return x, y
 
 
-@njit(cache=True)
+@kernel
 def ray(u, v, lens, rotation):
     """Unit direction in {B} of the ray of an image point."""
     x, y = undistorted(u, v, lens)
@@ -42,7 +43,7 @@ def ray(u, v, lens, rotation):
     return dx, dy, dz
 
 
-@njit(cache=True)
+@kernel
 def fast_atan2(y, x):
     """atan2 to 2e-8 rad (Abramowitz and Stegun 4.4.49); the library's is a slow call."""
     ax, ay = abs(x), abs(y)
@@ -64,7 +65,7 @@ def fast_atan2(y, x):
     return -angle if y < 0 else angle
 
 
-@njit(cache=True)
+@kernel
 def surface(grid, meta, theta, z):
     """Radius of the surface, mm, bilinear in the grid; OUTSIDE where there is none."""
     n, m = grid.shape
@@ -88,7 +89,7 @@ def surface(grid, meta, theta, z):
     return low + fa * (high - low) + meta[RADIAL]
 
 
-@njit(cache=True)
+@kernel
 def envelope_at(envelope, meta, z):
     """Radius of the envelope at z, mm; OUTSIDE beside the tire."""
     j = int(np.floor((z - meta[Z0]) * meta[INV_STEP_Z] + 0.5))
@@ -97,7 +98,7 @@ def envelope_at(envelope, meta, z):
     return envelope[0, j] + meta[RADIAL]
 
 
-@njit(cache=True)
+@kernel
 def is_inside(grid, envelope, meta, x, y, z, r):
     """Whether a point at radius r lies in the tire; looks the surface up only where it may."""
     j = int(np.floor((z - meta[Z0]) * meta[INV_STEP_Z] + 0.5))
@@ -106,13 +107,13 @@ def is_inside(grid, envelope, meta, x, y, z, r):
     return r < surface(grid, meta, fast_atan2(y, x), z)
 
 
-@njit(cache=True)
+@kernel
 def gap(grid, meta, x, y, z):
     """Height of a point over the surface, along r, mm."""
     return np.sqrt(x * x + y * y) - surface(grid, meta, fast_atan2(y, x), z)
 
 
-@njit(cache=True)
+@kernel
 def enter_cylinder(ox, oy, dx, dy, radius):
     """Ray parameter at which a ray from outside enters r = radius; -1 where it never does."""
     a = dx * dx + dy * dy
@@ -124,7 +125,7 @@ def enter_cylinder(ox, oy, dx, dy, radius):
     return (-b - np.sqrt(discriminant)) / a
 
 
-@njit(cache=True)
+@kernel
 def first_hit(grid, envelope, meta, o, dx, dy, dz):
     """Ray parameter of the first surface point that a ray from outside meets; -1 if none.
 
@@ -151,7 +152,7 @@ def first_hit(grid, envelope, meta, o, dx, dy, dz):
     return -1.0
 
 
-@njit(cache=True)
+@kernel
 def _refine(grid, meta, o, dx, dy, dz, low, high):
     for _ in range(10):
         t = 0.5 * (low + high)
@@ -162,7 +163,7 @@ def _refine(grid, meta, o, dx, dy, dz, low, high):
     return 0.5 * (low + high)
 
 
-@njit(cache=True)
+@kernel
 def is_lit(grid, envelope, meta, x, y, z, lx, ly, lz):
     """Whether nothing of the tire stands between a surface point and a light.
 
@@ -189,7 +190,7 @@ def is_lit(grid, envelope, meta, x, y, z, lx, ly, lz):
     return True
 
 
-@njit(cache=True)
+@kernel
 def normal_at(grid, meta, theta, z, r):
     """Outward unit normal in the local basis (r, theta, z), from central differences."""
     h = 0.5 * meta[STEP_MM]
@@ -202,7 +203,7 @@ def normal_at(grid, meta, theta, z, r):
     return scale, -st * scale, -sz * scale
 
 
-@njit(cache=True)
+@kernel
 def reflect(albedo, alpha2, f0, nl, nv, nh, vh):
     """pi times BRDF times n.l: a Lambertian base under a GGX microfacet gloss.
 
@@ -226,7 +227,7 @@ def reflect(albedo, alpha2, f0, nl, nv, nh, vh):
     return nl * (albedo + density * fresnel * 0.5 / (smith_l + smith_v))
 
 
-@njit(cache=True)
+@kernel
 def value_noise(tile, x, y, period):
     """Smooth noise of a lattice of random numbers; x comes back to itself after `period`."""
     i, j = int(np.floor(x)), int(np.floor(y))

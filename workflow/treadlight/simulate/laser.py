@@ -2,8 +2,8 @@
 
 import cv2
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.simulate import kernels
 from treadlight.simulate.render import F0, Scene, material
 from treadlight.simulate.rig import TREAD_DISTANCE_MM, SimulatedRig
@@ -51,7 +51,7 @@ def render_laser(scene: Scene, encoder_deg: float) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@kernel
 def _may_see_stripe(o, dx, dy, dz, meta, plane, reach):
     """Whether a ray, between the largest and the smallest radius, comes near the sheet."""
     enter = kernels.enter_cylinder(o[0], o[1], dx, dy, meta[kernels.R_MAX])
@@ -66,7 +66,7 @@ def _may_see_stripe(o, dx, dy, dz, meta, plane, reach):
     return min(a, b) < reach and max(a, b) > -reach
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _render(first, last, out, lens, o, rotation, grid, envelope, meta, plane, source, sigma, tile):
     weight = 1.0 / (_RAYS * _RAYS)
     reach = 4.5 * sigma
@@ -95,7 +95,7 @@ def _render(first, last, out, lens, o, rotation, grid, envelope, meta, plane, so
                 )
 
 
-@njit(cache=True)
+@kernel
 def _reflected(grid, envelope, meta, px, py, pz, dx, dy, dz, source, tile):
     """Light of the sheet's source that a surface point sends to the camera, 0 in shadow."""
     r = np.sqrt(px * px + py * py)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.simulate import kernels
 from treadlight.simulate.rig import SimulatedRig
 from treadlight.simulate.settings import NOMINAL_RADIUS_MM
@@ -110,7 +110,7 @@ def render_leds(
     return out
 
 
-@njit(cache=True)
+@kernel
 def material(tile, theta, z, r, envelope_r):
     """Albedo and squared roughness at a point: patchy, dull and dusty down in the grooves."""
     period = round(2 * np.pi * NOMINAL_RADIUS_MM / 4.0)
@@ -122,7 +122,7 @@ def material(tile, theta, z, r, envelope_r):
     return albedo, roughness * roughness
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _render_rows(begin, end, out, rays, first, lens, o, rotation, grid, envelope, meta, leds, tile):
     weight = 1.0 / (rays * rays)
     for i in range(begin, end):
@@ -164,7 +164,7 @@ def _render_rows(begin, end, out, rays, first, lens, o, rotation, grid, envelope
                     out[k, i, u] += weight * arriving * reflected
 
 
-@njit(cache=True)
+@kernel
 def beam_irradiance(intensity, cosine, d2):
     """Irradiance facing an LED; `cosine` is off its beam, cos^1.25 by two square roots."""
     beam = cosine * np.sqrt(np.sqrt(cosine))

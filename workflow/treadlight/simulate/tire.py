@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from treadlight.compiling import kernel
 from treadlight.simulate import kernels
 from treadlight.simulate.random import stream
 from treadlight.simulate.settings import NOMINAL_RADIUS_MM
@@ -148,7 +148,7 @@ class HeightField:
         return np.where(found > 0, found, np.nan).reshape(theta.shape)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sample(first, last, grid, meta, theta, z, out):
     for k in range(first, last):
         out[k] = kernels.surface(grid, meta, theta[k], z[k])
@@ -238,7 +238,7 @@ def _wear_along_theta(tire: Tire, theta: np.ndarray) -> np.ndarray:
     return 1 + a1 * np.cos(theta - p1) + a3 * np.cos(3 * theta - p3)
 
 
-@njit(cache=True)
+@kernel
 def _slot_depth(f, pitches, theta, z):
     """Depth of one family of slots or sipes at a point, mm."""
     middle = 0.5 * (f[0] + f[1])
@@ -254,7 +254,7 @@ def _slot_depth(f, pitches, theta, z):
     return min(max((f[3] - s) / f[5], 0.0), f[4])
 
 
-@njit(cache=True)
+@kernel
 def _groove_depth(g, wear_bars, theta, z):
     """Depth of one circumferential groove, less at a wear bar, mm."""
     depth = min(max((g[1] - abs(z - g[0])) / g[3], 0.0), g[2])
@@ -268,7 +268,7 @@ def _groove_depth(g, wear_bars, theta, z):
     return depth
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(
     first,
     last,
@@ -384,7 +384,7 @@ def mounted_profile(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _mounted(first, last, grid, meta, rotation, shift, theta, z, out):
     for i in range(first, last):
         c, s = np.cos(theta[i]), np.sin(theta[i])

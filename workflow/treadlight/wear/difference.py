@@ -1,9 +1,9 @@
 """Wear as the radial difference of two aligned captures, with its uncertainty."""
 
-import numba
 import numpy as np
 from scipy import ndimage
 
+from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.geometry.axis import wrap_angle
 from treadlight.threads import by_ranges
@@ -124,7 +124,7 @@ def _sides_mm(grid: CylinderGrid) -> tuple[float, float]:
     return grid.step_theta * grid.nominal_radius_mm, grid.step_z
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def _alignment_variance(
     first, last, theta, z, slope_theta, slope_z, rotation, radius, covariance, variance
 ):  # pragma: no cover - compiled

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from treadlight.compiling import kernel
 from treadlight.geometry.axis import wrap_angle
 from treadlight.threads import by_ranges
 
@@ -100,7 +100,7 @@ class Motion:
         return np.stack(d_theta, axis=-1), np.stack(d_z, axis=-1), np.stack(d_r, axis=-1)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _resample(
     first,
     last,
@@ -147,7 +147,7 @@ def _resample(
                 moved_std[i, j] = _linear(source_std, row, column)
 
 
-@numba.njit(cache=True)
+@kernel
 def _linear(source, row, column):  # pragma: no cover - compiled
     """Mean of the finite ones of four neighbours, if they carry most of the weight."""
     rows, columns = source.shape
@@ -165,7 +165,7 @@ def _linear(source, row, column):  # pragma: no cover - compiled
     return total / weight if weight > 0.5 else np.nan
 
 
-@numba.njit(cache=True)
+@kernel
 def _cubic(source, row, column):  # pragma: no cover - compiled
     """Catmull-Rom on smooth ground (Keys 1981, a = -1/2); across steps and gaps linear."""
     rows, columns = source.shape
@@ -187,7 +187,7 @@ def _cubic(source, row, column):  # pragma: no cover - compiled
     return total if high - low < 1.0 else _linear(source, row, column)
 
 
-@numba.njit(cache=True)
+@kernel
 def _keys(x):  # pragma: no cover - compiled
     x = abs(x)
     if x < 1:

@@ -1,0 +1,74 @@
+"""How kernels are compiled and where they are kept."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import treadlight
+
+_PACKAGE = Path(treadlight.__file__).parent
+
+
+def kernel(
+    function: Callable[..., Any] | None = None, *, allocates: bool = False, **options: Any
+) -> Any:
+    """Decorator: compiled by numba, kept, and run without the interpreter's lock.
+
+    References to arrays are not counted. Numba counts them at every call and slice, by an atomic
+    step that cores take in turns: kernels of few operations on shared arrays spent two thirds of
+    their time in it. What makes an array, or is handed one that a kernel made, has to say so.
+
+    Parameters
+    ----------
+    function : callable, optional
+    allocates : bool
+        It, or what it calls, makes arrays that it works with or returns.
+    **options
+        Of `numba.njit`, such as ``error_model="numpy"``.
+    """
+    from numba import njit
+
+    decorate = njit(**{"cache": True, "nogil": True, "_nrt": allocates, **options})
+    return decorate if function is None else decorate(function)
+
+
+def prepare() -> None:
+    """Set what numba reads from the environment, for this process and those it starts.
+
+    Before anything imports numba.
+    """
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
+    os.environ.setdefault("NUMBA_CPU_FEATURES", cpu_features())
+
+
+def kernel_cache() -> Path:
+    """Where compiled kernels are kept: one folder per state of the code that compiles any.
+
+    numba looks at the file of the calling kernel alone, so a changed kernel in another module
+    would live on in its callers.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        text = path.read_bytes()
+        if b"treadlight.compiling import kernel" in text:
+            digest.update(text)
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    if not os.access(home if home.exists() else home.parent, os.W_OK):
+        home = Path(tempfile.gettempdir())
+    return home / "treadlight" / f"kernels-{digest.hexdigest()[:16]}"
+
+
+def cpu_features() -> str:
+    """This machine's, as LLVM names them, and none of its vectors left unused.
+
+    LLVM keeps to half of the widest registers by default, for the sake of code that needs them
+    only now and then. Wider vectors change no result: no sum is reordered.
+    """
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features()
+    wide = ",-prefer-256-bit" if features.get("avx512f") else ""
+    return features.flatten() + wide
