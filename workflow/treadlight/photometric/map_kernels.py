@@ -1,6 +1,6 @@
 """Maximum a posteriori fit of the full reflection model, many pixels side by side, compiled.
 
-A block of pixels (`map_lanes`) needs some 100 KiB. A pixel takes some 20 evaluations of the model
+A block of pixels (`map_lanes`) needs some 130 KiB. A pixel takes some 20 evaluations of the model
 (`map_model`), and as long as eight of them to find its starts (`map_starts`).
 """
 

@@ -11,7 +11,7 @@ import numpy as np
 from treadlight.compiling import kernel
 from treadlight.photometric.lanes import exp2, fma
 
-LANES = 32
+LANES = 64
 LEAST_NH = np.float32(0.02)
 LN2, LOG2E = np.float32(math.log(2.0)), np.float32(1 / math.log(2.0))
 # Powers of two below this are nothing in single precision.
