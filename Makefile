@@ -64,11 +64,12 @@ bench-photometry: setup ## Every estimator of normals on renders, photographs an
 	$(BIN)/snakemake --snakefile tests/benchmarks/photometry/Snakefile --cores $(CORES) --quiet rules
 	@cat build/bench-photometry/summary.md build/bench-photometry/figures.json
 
-bench-speed: setup ## How fast the kernels are, beside plain versions of the same
+bench-speed: setup ## How fast kernels are, beside plain versions, and stages, over sizes (renders them; long)
 	$(KERNELS) NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
 	$(BIN)/snakemake --cores $(CORES) --quiet rules --config archive=../shared/captures/sample results=build/sample
 	$(KERNELS) $(BIN)/python tests/benchmarks/speed_multigrid.py ../shared/captures/sample/t7-00100 \
 	  build/sample/captures/t7-00100 build/sample/calibrations/bench-1-2020-01/calibration.json
+	$(KERNELS) $(BIN)/python tests/benchmarks/full/scaling.py
 
 bench-plan: setup ## Plan an archive of 1,000 captures: time, memory, what is added, what fails (long)
 	$(BIN)/python tests/benchmarks/plan/study.py

@@ -20,6 +20,7 @@ def kernel(
     References to arrays are not counted. Numba counts them at every call and slice, by an atomic
     step that cores take in turns: kernels of few operations on shared arrays spent two thirds of
     their time in it. What makes an array, or is handed one that a kernel made, has to say so.
+    A division by zero is infinite or NaN, as numpy's is, and raises nothing.
 
     Parameters
     ----------
@@ -27,11 +28,12 @@ def kernel(
     allocates : bool
         It, or what it calls, makes arrays that it works with or returns.
     **options
-        Of `numba.njit`, such as ``error_model="numpy"``.
+        Of `numba.njit`, such as ``inline="always"``.
     """
     from numba import njit
 
-    decorate = njit(**{"cache": True, "nogil": True, "_nrt": allocates, **options})
+    usual = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": allocates}
+    decorate = njit(**usual | options)
     return decorate if function is None else decorate(function)
 
 

@@ -1,11 +1,15 @@
-"""A sector of a tire at full size: one view of 16 LED frames and 12 sections, from the simulator.
+"""A sector of a tire: one view of 16 LED frames and 12 sections, from the simulator.
 
 The rig is the simulator's own, so that no calibration capture need be rendered and solved first:
 calibration.json and illumination.zarr hold what is true.
 """
 
 import csv
+import multiprocessing
 import shutil
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -22,15 +26,41 @@ from treadlight.simulate.plan import GAIN_PER_S
 from treadlight.simulate.render import REFERENCE_DISTANCE_MM
 from treadlight.simulate.rig import BEAM_COS_POWER
 
-# The dissertation's camera, and its sections 1.8 degrees apart.
-SETTINGS = SimulationSettings(
-    size_px=(5120, 7680), sector_deg=21.6, sections=12, views=1, mileages=(100.0,)
-)
+# Rows and columns of the dissertation's camera.
+FULL = (5120, 7680)
 
 
-def render(folder: Path, say) -> Path:
-    """The capture's folder; it is rendered only where it is not there yet."""
-    simulation = Simulation(SETTINGS)
+@dataclass(frozen=True)
+class Sector:
+    """What the stages read; `sections` is the same capture's laser frames alone, as 8-bit RGB."""
+
+    capture: Path
+    sections: Path
+    calibration: Path
+    illumination: Path
+
+
+def make(folder: Path, size_px: tuple[int, int], say: Callable[[str], None]) -> Sector:
+    """A sector with images of this size; it is rendered only where it is not there yet."""
+    # By a process of its own: the stages' largest memory begins at that of what starts them.
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_make, folder, size_px, say).result()
+
+
+def _make(folder: Path, size_px: tuple[int, int], say: Callable[[str], None]) -> Sector:
+    simulation = Simulation(_settings(size_px))
+    capture = _render(simulation, folder / "archive", say)
+    return Sector(capture, _with_8_bits(capture, folder), *_write_calibration(simulation, folder))
+
+
+def _settings(size_px: tuple[int, int]) -> SimulationSettings:
+    """The dissertation's sections are 1.8 degrees apart."""
+    return SimulationSettings(
+        size_px=size_px, sector_deg=21.6, sections=12, views=1, mileages=(100.0,)
+    )
+
+
+def _render(simulation: Simulation, folder: Path, say: Callable[[str], None]) -> Path:
     name = simulation.ids[1]
     if not (folder / name / "capture.yaml").is_file():
         folder.mkdir(parents=True, exist_ok=True)
@@ -38,9 +68,9 @@ def render(folder: Path, say) -> Path:
     return folder / name
 
 
-def write_calibration(capture: Path, folder: Path) -> tuple[Path, Path]:
+def _write_calibration(simulation: Simulation, folder: Path) -> tuple[Path, Path]:
     """calibration.json and illumination.zarr of the simulated rig, made from what is true of it."""
-    sim = Simulation(SETTINGS).sim
+    sim = simulation.sim
     camera, plane = sim.camera, sim.reference_plane
     content = {
         "camera": {
@@ -80,11 +110,11 @@ def write_calibration(capture: Path, folder: Path) -> tuple[Path, Path]:
         },
     )
     out = folder / "illumination.zarr"
-    store.write_store(out, dataset, title="Illumination maps", source=capture.name)
+    store.write_store(out, dataset, title="Illumination maps", source=simulation.ids[1])
     return folder / "calibration.json", out
 
 
-def with_8_bits(capture: Path, folder: Path) -> Path:
+def _with_8_bits(capture: Path, folder: Path) -> Path:
     """The same sections as 8-bit RGB and no views, as the dissertation's camera stores them."""
     out = folder / "sections-8-bit"
     if (out / "capture.yaml").is_file():

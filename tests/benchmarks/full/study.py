@@ -8,8 +8,6 @@ views by their number, the integration by the cells of the grid. Ends with one l
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -17,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import sector
+import stages
 
 from treadlight import store
 from treadlight.archive import read_capture
@@ -36,55 +35,13 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("build/bench-full"))
     parser.add_argument("--cores", type=int, default=2)
     args = parser.parse_args()
-    capture = sector.render(args.out / "archive", say)
-    eight = sector.with_8_bits(capture, args.out)
-    calibration, illumination = sector.write_calibration(capture, args.out)
-    stages = Stages(args.out / "results", args.cores)
-    results = stages.folder
-    lit = ["--calibration", calibration]
-    points, laser = results / "laser_points.zarr", results / "laser.zarr"
-    surface, view = results / "surface.zarr", results / "photometric.zarr/fov00"
-    pixels = results / "laser_pixels.zarr"
-    stages.run("detect-laser-pixels", eight, "--out", pixels)
-    stages.run("triangulate", pixels, "--capture", capture, *lit, "--out", points)
-    stages.run(
-        "register-to-cylinder", points, "--capture", capture, *lit,
-        "--out", laser, "--surface", surface,
-    )  # fmt: skip
-    stages.run(
-        "photometric-stereo", capture, "--view", "0", *lit,
-        "--illumination", illumination, "--surface", surface, "--out", view,
-    )  # fmt: skip
-    stages.run(
-        "integrate", capture, *lit, "--surface", surface, "--laser", laser, "--views", view,
-        "--out", results / "profile.zarr", "--quality", results / "quality.json",
-    )  # fmt: skip
-    sections = len(read_capture(eight).of_kind("laser"))
-    found = summary(stages.taken, section_s(eight), sections, cells_of(surface))
+    made = sector.make(args.out, sector.FULL, say)
+    taken = stages.run_all(made, args.out / "results", args.cores, say)
+    sections = len(read_capture(made.sections).of_kind("laser"))
+    cells = cells_of(args.out / "results/surface.zarr")
+    found = summary(taken, section_s(made.sections), sections, cells)
     print(json.dumps(found))
     return 0
-
-
-class Stages:
-    """Runs the commands and keeps what each took."""
-
-    def __init__(self, folder: Path, cores: int):
-        self.folder, self.cores = folder, cores
-        self.taken: dict[str, dict[str, float]] = {}
-
-    def run(self, command: str, *arguments: Any) -> None:
-        parts = [sys.executable, "-m", "treadlight.cli", command, *map(str, arguments)]
-        began = time.monotonic()
-        process = subprocess.Popen([*parts, "--threads", str(self.cores)], env=os.environ)
-        _, status, usage = os.wait4(process.pid, 0)
-        if status:
-            sys.exit(f"{command} exits {os.waitstatus_to_exitcode(status)}.")
-        self.taken[command] = {
-            "wall_s": round(time.monotonic() - began, 1),
-            "processor_s": round(usage.ru_utime + usage.ru_stime, 1),
-            "peak_gib": round(usage.ru_maxrss / (1 << 20), 2),
-        }
-        say(f"{command}: {self.taken[command]}")
 
 
 def section_s(capture: Path, runs: int = 5) -> float:

@@ -179,6 +179,17 @@ def test_a_wall_shadows_as_far_as_the_light_is_low(zenith_deg):
     assert lit(patch, points, led * [1, 1, -1]).all()
 
 
+def test_what_is_highest_is_lit_whatever_its_neighbours_are():
+    """A tile of pixels on both sides of a wall: those on top leave the surface where they are."""
+    step = 0.1
+    z = (np.arange(601) - 300) * step
+    patch = patch_of(np.repeat(np.where(z < 0, RADIUS - 6, RADIUS)[None], 41, axis=0), step)
+    at = np.linspace(-1, 1.2, 32)
+    points = np.column_stack([0 * at, at, np.where(at < 0, RADIUS - 6, RADIUS)])
+    seen = lit(patch, points, np.array([[RADIUS + 200.0, 0, 200]]))[0]
+    np.testing.assert_array_equal(seen, at > 0)
+
+
 def test_walls_along_theta_shadow_too():
     step, height = 0.1, 5.0
     arc = (np.arange(401) - 200) * step

@@ -5,7 +5,7 @@ import numpy as np
 from treadlight.compiling import kernel
 
 
-@kernel(error_model="numpy")
+@kernel
 def irradiance(
     first, last, points, position, normal, height, intrinsics, distortion, table, step, lens, out
 ):

@@ -59,7 +59,7 @@ S0, S1, S2, S3, S4, DAMPING, BETTER, _FALL = rows(8)
 STEP = 8 * LANES
 
 
-@kernel(error_model="numpy")
+@kernel
 def solve(eq, step):
     """Steps (A + damping diag A)^-1 b, by L D L'."""
     for k in range(LANES):
@@ -95,13 +95,13 @@ def solve(eq, step):
         step[S3 + k], step[S4 + k] = x3, x4
 
 
-@kernel(error_model="numpy")
+@kernel
 def _bound(step, row, most):
     for k in range(LANES):
         step[row + k] = min(max(step[row + k], -most), most)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _advance(state, t, step, trial):
     """The state after a step; width and ratio stay within their ranges."""
     for k in range(LANES):
@@ -124,7 +124,7 @@ def _advance(state, t, step, trial):
         trial[LN_RATIO + k] = lr + more
 
 
-@kernel(error_model="numpy")
+@kernel
 def _judge(eq, eq_trial, step):
     """Whether a step lowers the cost, and the damping after it.
 
@@ -140,7 +140,7 @@ def _judge(eq, eq_trial, step):
         step[DAMPING + k] = min(max(step[DAMPING + k] * factor, _LEAST_DAMPING), _MOST_DAMPING)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _promise(eq, step):
     """How much each lane's cost would still fall, to first order; the most of all."""
     most = ZERO
@@ -153,7 +153,7 @@ def _promise(eq, step):
     return most
 
 
-@kernel(error_model="numpy")
+@kernel
 def choose(better, new, old):
     """Take the new rows where a step (flags, one per lane) is better."""
     for row in range(len(old) // LANES):
@@ -162,7 +162,7 @@ def choose(better, new, old):
             old[at + k] = either(better[k] > 0, new[at + k], old[at + k])
 
 
-@kernel(error_model="numpy")
+@kernel
 def descend(leds, state, t, work, material, step, trial, eq, eq_trial, steps):
     """Levenberg and Marquardt's steps from `state` on, in place; `eq` is that of the last state."""
     step[DAMPING : DAMPING + LANES] = _DAMPING

@@ -60,7 +60,7 @@ _FIRST_STEPS, _STEPS = 3, 8
 _FIRST_MISFIT2 = np.float32(0.02**2)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _gather(intensity, noise, usable, lights, views, first, count, leds):
     """The LEDs of `count` pixels from `first` on; lanes beyond see nothing."""
     leds[:] = ZERO
@@ -86,7 +86,7 @@ def _gather(intensity, noise, usable, lights, views, first, count, leds):
             led[BRIGHT + k] = ONE / i if i > 3 * noise[m, first + k] else ZERO
 
 
-@kernel(error_model="numpy")
+@kernel
 def _sharpen(leds, misfit2, brightest):
     """How exact the LEDs are if the model misfits by so much, as `Material` defines it."""
     brightest[:] = ZERO
@@ -102,7 +102,7 @@ def _sharpen(leds, misfit2, brightest):
             led[SHARP + k] = ONE / math.sqrt(max(variance, np.float32(1e-30)))
 
 
-@kernel(error_model="numpy")
+@kernel
 def _start(state, start, material):
     alpha, ratio = np.float32(math.exp(material[0])), np.float32(math.exp(material[1]))
     for k in range(LANES):
@@ -113,7 +113,7 @@ def _start(state, start, material):
         state[ALPHA + k], state[RATIO + k] = alpha, ratio
 
 
-@kernel(error_model="numpy", allocates=True)
+@kernel(allocates=True)
 def fit_pixels(begin, end, intensity, lights, views, usable, noise, base, material, misfit2, out):
     """The most probable normal and material of pixels begin to end - 1.
 

@@ -31,7 +31,7 @@ LX, LY, LZ, HX, HY, HZ, LIGHT, DARK, SHARP, BRIGHT = rows(10)
 LED = 10 * LANES
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(inline="always")
 def log2_and_inverse(x):
     """log2 and 1 / x for 0.02 <= x <= 1: a square root, one division, the series of atanh.
 
@@ -50,14 +50,14 @@ def log2_and_inverse(x):
     return np.float32(4.0) * LOG2E * t * p, (y + ONE) * inverse
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(inline="always")
 def exp(x):
     """e^x for |x| <= 1 to 1e-6."""
     y = exp2(np.float32(-abs(x)) * LOG2E)
     return y if x < 0 else ONE / y
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(inline="always")
 def either(first, new, old):
     """`new` where `first`, else `old`: a sum, since a choice becomes a branch around the store."""
     return (new if first else ZERO) + (ZERO if first else old)

@@ -50,7 +50,7 @@ GLOSS, DIFFUSE, _POWER, _SLOPE, _LIT, _MISS, _WEIGHT, _J0, _J1, K_D = rows(10)
 WORK = 10 * LANES
 
 
-@kernel(error_model="numpy")
+@kernel
 def tangents(state, t):
     """Two unit vectors across n (Duff et al. 2017, for either sign of n_z)."""
     for k in range(LANES):
@@ -66,7 +66,7 @@ def tangents(state, t):
         t[VZ + k] = -y
 
 
-@kernel(error_model="numpy", inline="always")
+@kernel(inline="always")
 def _look(led, state, k):
     """n.l, whether it is lit, log2 (n.h) and 1 / n.h of one LED and lane."""
     x, y, z = state[X + k], state[Y + k], state[Z + k]
@@ -76,7 +76,7 @@ def _look(led, state, k):
     return nl, ONE if nl > 0 else ZERO, power, inverse_nh
 
 
-@kernel(error_model="numpy")
+@kernel
 def shade(led, state, work, squarings):
     """Gloss and diffuse light of one LED, and the gloss's relative slopes by ln alpha and n.h.
 
@@ -88,7 +88,7 @@ def shade(led, state, work, squarings):
         _shade_trowbridge_reitz(led, state, work, squarings)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _shade_blinn_phong(led, state, work):
     """k_s (n.h)^alpha (eq. 5.1)."""
     for k in range(LANES):
@@ -102,7 +102,7 @@ def _shade_blinn_phong(led, state, work):
         work[_LIT + k] = work[K_D + k] * lit
 
 
-@kernel(error_model="numpy")
+@kernel
 def _shade_trowbridge_reitz(led, state, work, squarings):
     """k_s (1 - alpha ln(n.h) / gamma)^-gamma, gamma = 2^squarings: as sharp, with longer tails."""
     share = LN2 / np.float32(2.0**squarings)
@@ -124,7 +124,7 @@ def _shade_trowbridge_reitz(led, state, work, squarings):
         work[_SLOPE + k] *= gloss
 
 
-@kernel(error_model="numpy")
+@kernel
 def _weigh(led, work, eq):
     """Standardised residual, its robust weight, and the cost of one LED."""
     for k in range(LANES):
@@ -135,7 +135,7 @@ def _weigh(led, work, eq):
         eq[COST + k] = fma(r * r, g, eq[COST + k])
 
 
-@kernel(error_model="numpy")
+@kernel
 def _tilt(led, t, work):
     """Derivatives of one LED's standardised model by the two tilts."""
     for k in range(LANES):
@@ -148,7 +148,7 @@ def _tilt(led, t, work):
         work[_J1 + k] = fma(gx, t[VX + k], fma(gy, t[VY + k], gz * t[VZ + k]))
 
 
-@kernel(error_model="numpy")
+@kernel
 def _accumulate(led, state, work, eq):
     """Add one LED to the normal equations."""
     for k in range(LANES):
@@ -179,7 +179,7 @@ def _accumulate(led, state, work, eq):
         eq[B4 + k] = fma(w4, r, eq[B4 + k])
 
 
-@kernel(error_model="numpy")
+@kernel
 def _add_prior(state, material, eq):
     mean_a, mean_r, aa, ar, rr = material[0], material[1], material[2], material[3], material[4]
     for k in range(LANES):
@@ -193,7 +193,7 @@ def _add_prior(state, material, eq):
         eq[COST + k] += x * gx + y * gy
 
 
-@kernel(error_model="numpy")
+@kernel
 def evaluate(leds, state, t, work, material, eq):
     """Normal equations and cost of a block's state; `material` as `Material.packed` has it."""
     eq[:] = ZERO

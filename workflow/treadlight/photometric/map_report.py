@@ -33,7 +33,7 @@ RESIDUAL, LEDS, FOUND_COST, CXX = range(6, 10)
 FOUND_LN_ALPHA, FOUND_LN_RATIO, CAA, CAR, CRR, RESULTS = range(15, 21)
 
 
-@kernel(error_model="numpy", allocates=True)
+@kernel(allocates=True)
 def rerender(leds, state, work, squarings, found):
     """Mean relative error (eq. 5.30) over LEDs above three sigma, and how many LEDs there are."""
     relative, used = found[RESIDUAL * LANES :], found[LEDS * LANES :]
@@ -53,7 +53,7 @@ def rerender(leds, state, work, squarings, found):
         relative[k] /= bright[k]
 
 
-@kernel(error_model="numpy", allocates=True)
+@kernel(allocates=True)
 def covariances(eq, t, step, found):
     """Of the normal's components, and of the material's logarithms, from the inverse equations."""
     step[DAMPING : DAMPING + LANES] = ZERO
@@ -77,7 +77,7 @@ def covariances(eq, t, step, found):
         found[CAA * LANES + k], found[CAR * LANES + k] = step[S3 + k], step[S4 + k]
 
 
-@kernel(error_model="numpy")
+@kernel
 def _unit_solution(eq, row, step):
     """A row of the normal equations' inverse."""
     eq[B0 : B4 + LANES] = ZERO
@@ -85,7 +85,7 @@ def _unit_solution(eq, row, step):
     solve(eq, step)
 
 
-@kernel(error_model="numpy")
+@kernel
 def report(found, state, eq, views, first, count, out):
     """Write a block's results; NaN, but for the count of LEDs, where there is no normal."""
     for k in range(LANES):

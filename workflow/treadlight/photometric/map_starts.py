@@ -46,7 +46,7 @@ _WEIGHED = _SCORE = 2 * LANES
 _TOGETHER = 4
 
 
-@kernel(error_model="numpy", allocates=True)
+@kernel(allocates=True)
 def starts_desk(n_leds):
     """Room for `choose_starts` to work in, used anew for every block.
 
@@ -68,7 +68,7 @@ def starts_desk(n_leds):
     )
 
 
-@kernel(error_model="numpy")
+@kernel
 def _show(led, normals, alpha, ratio, squarings, shown):
     """What one LED shows of unit gloss at all directions."""
     lx, ly, lz, hx, hy, hz = led[0], led[1], led[2], led[3], led[4], led[5]
@@ -87,7 +87,7 @@ def _show(led, normals, alpha, ratio, squarings, shown):
         shown[j] = (shown[j] + ratio * nl) * (ONE if nl > 0 else ZERO)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _make_dictionary(lights, view, base, material, place, normals, book):
     """Directions about the view, and what the usual material shows at each, (LEDs, directions)."""
     x, y, z = view[0], view[1], view[2]
@@ -112,7 +112,7 @@ def _make_dictionary(lights, view, base, material, place, normals, book):
         _show(place[m], normals, alpha, ratio, int(material[5]), book[m])
 
 
-@kernel(error_model="numpy")
+@kernel
 def _serve(leds, place, waiting, served):
     """Which of the waiting lanes have their usable LEDs where the dictionary has them."""
     for k in range(LANES):
@@ -127,7 +127,7 @@ def _serve(leds, place, waiting, served):
                 served[k] = served[k] if alike or not led[SHARP + k] > 0 else ZERO
 
 
-@kernel(error_model="numpy")
+@kernel
 def _weigh(leds, weighed):
     """Squared sharpness of the LEDs, with and without their light, as `_match` wants them."""
     for m in range(len(leds) // LED):
@@ -139,7 +139,7 @@ def _weigh(leds, weighed):
             row[LANES + k] = sharp2
 
 
-@kernel(error_model="numpy")
+@kernel
 def _match(weighed, book, score):
     """How much of each lane's light a direction explains, and with which strength."""
     for j in range(DIRECTIONS):
@@ -161,7 +161,7 @@ def _match(weighed, book, score):
             at[LANES + k] = strength
 
 
-@kernel(error_model="numpy")
+@kernel
 def _pick(score, normals, start, former, earlier, best):
     """The best direction of each lane that is apart from the two chosen before."""
     best[:LANES] = -ONE
@@ -182,7 +182,7 @@ def _pick(score, normals, start, former, earlier, best):
         start[START_KS + k] = score[j * _SCORE + LANES + k]
 
 
-@kernel(error_model="numpy")
+@kernel
 def _middle(waiting):
     """The middle one of the lanes that wait, -1 if none does."""
     half = waiting.sum() / 2
@@ -194,7 +194,7 @@ def _middle(waiting):
     return -1
 
 
-@kernel(error_model="numpy")
+@kernel
 def choose_starts(leds, lights, views, first, count, base, material, starts, desk):
     """Normals and strengths to start each lane from: (STARTS, START), a flat block of rows each.
 

@@ -81,7 +81,7 @@ def _gap(r, place, t):
     return level - sample(r, row, column)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _cells_per_step(place, r_min, span, steps):
     """How many rows or columns a ray advances in a step, at most; infinite where nobody knows."""
     _, step_phi, _, step_z, start, _, _, radial, tangential, dz = place
@@ -94,7 +94,7 @@ def _cells_per_step(place, r_min, span, steps):
     return max(turn / step_phi, abs(dz) / step_z) * span / steps
 
 
-@kernel(error_model="numpy")
+@kernel
 def _first_below(r, tops, place, span, steps, cells_per_step):
     """Number of the first step at or below the surface, -1 if there is none.
 

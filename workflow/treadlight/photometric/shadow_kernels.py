@@ -188,7 +188,8 @@ def _blocked(field, crests, phi, z, height, radial, tangential, dz, near, far):
     """
     r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell = field
     _, leave = crossings(height, 0.0, radial, tangential, max(r_max, height))
-    if math.isnan(leave):
+    # Nothing is above the highest point.
+    if not leave > 0.0:
         return False
     var = _variance(r_std, (phi - phi_0) / step_phi, (z - z_0) / step_z)
     span = min(leave, 1.0)

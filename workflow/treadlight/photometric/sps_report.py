@@ -100,7 +100,7 @@ def _gather(r, leds):
                 led[at + p] = row[p]
 
 
-@kernel(error_model="numpy")
+@kernel
 def _describe(v, normals, lobes, pixel, found):
     """The pixels' lobes; k_s by eq. 5.25.
 
@@ -121,7 +121,7 @@ def _describe(v, normals, lobes, pixel, found):
         pixel[_DARK_NL + p] = v[lanes.DARK_NL, p]
 
 
-@kernel(error_model="numpy")
+@kernel
 def _rerender(leds, pixel, sums):
     """Over the LEDs in front of the surface: sums for eqs. 5.30 and 5.1, and how many they are."""
     sums[:] = ZERO
@@ -146,7 +146,7 @@ def _rerender(leds, pixel, sums):
             sums[_DARK + p] += facing * dark * dark
 
 
-@kernel(error_model="numpy")
+@kernel
 def _judge(sums, misfit2, prior_weight, pixel, found):
     """The residual, LEDs used, the misfit, and what is believed of it, in lane RHO2."""
     for p in range(PIXELS):
@@ -161,7 +161,7 @@ def _judge(sums, misfit2, prior_weight, pixel, found):
         pixel[_RHO2 + p] = (prior_weight * misfit2 + own) / (prior_weight + freedom)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _tangents(pixel, t):
     """Two unit vectors across n (Duff et al. 2017, for either sign of n_z)."""
     for p in range(PIXELS):
@@ -177,7 +177,7 @@ def _tangents(pixel, t):
         t[_VZ + p] = -y
 
 
-@kernel(error_model="numpy")
+@kernel
 def _propagate(leds, pixel, t, eq):
     """First-order propagation of each LED's error through eqs. 5.22 to 5.28 to the two tilts.
 
@@ -195,7 +195,7 @@ def _propagate(leds, pixel, t, eq):
         _add_variances(np.float32(m), leds[m * _LED : (m + 1) * _LED], pixel, eq)
 
 
-@kernel(error_model="numpy")
+@kernel
 def _add_equations(led, pixel, eq):
     """J'J of the weighted residuals by N and s; row Y holds w exp2(s x) of the last pass."""
     for p in range(PIXELS):
@@ -214,7 +214,7 @@ def _add_equations(led, pixel, eq):
         eq[_A33 + p] += s * s
 
 
-@kernel(error_model="numpy")
+@kernel
 def _solve(t, pixel, eq):
     """The inverse equations times either tilt, by L D L'; what is not determined varies hugely."""
     for p in range(PIXELS):
@@ -242,7 +242,7 @@ def _solve(t, pixel, eq):
         eq[_V0 + p], eq[_V1 + p], eq[_V2 + p], eq[_V3 + p] = v0, v1, v2, v3
 
 
-@kernel(error_model="numpy")
+@kernel
 def _find_gains(led, pixel, eq):
     """What one LED's light does to the tilts, directly; and through the light that k_d takes."""
     for p in range(PIXELS):
@@ -258,7 +258,7 @@ def _find_gains(led, pixel, eq):
         eq[_THROUGH_V + p] += v * led[_NL + p]
 
 
-@kernel(error_model="numpy")
+@kernel
 def _add_variances(number, led, pixel, eq):
     for p in range(PIXELS):
         unit, darkest = pixel[_UNIT + p], pixel[_DARKEST + p] == number
@@ -273,7 +273,7 @@ def _add_variances(number, led, pixel, eq):
         eq[_VV + p] += v * v * variance
 
 
-@kernel(error_model="numpy")
+@kernel
 def _spread(t, eq, found):
     """The normal's covariance from that of the tilts."""
     k = CXX

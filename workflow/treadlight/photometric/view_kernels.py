@@ -13,7 +13,7 @@ from treadlight.photometric.observations import OUTSIDE, SATURATED, SHADOWED
 _RUN = 512
 
 
-@kernel(error_model="numpy", allocates=True)
+@kernel(allocates=True)
 def observe(
     begin, end, points, counts, irradiance, dark, lit, leds, camera,
     intensity, noise, lights, views, usable, quality,
