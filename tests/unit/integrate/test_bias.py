@@ -9,7 +9,7 @@ from treadlight.integrate.bias import lean_of_ribs, shared_columns
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.multigrid import System
-from treadlight.integrate.solve import Problem, perturbation, shared_noise
+from treadlight.integrate.solve import perturbation, shared_noise
 
 STEP = 0.3
 SPACING = 12
@@ -115,9 +115,7 @@ def test_jumps_share_their_noise_with_those_beside_them_not_with_the_next(axis, 
     """Jumps along one axis alone: their differences are the right-hand side."""
     shape, nothing = (300, 300), np.zeros((300, 300))
     weights = [np.ones(shape), nothing] if axis == 0 else [nothing, np.ones(shape)]
-    noise = perturbation(
-        Problem(None, None, nothing, nothing), System(*weights, nothing), nothing, 6.0, rng
-    )
+    noise = perturbation(System(*weights, nothing), 6.0, rng)
     across = np.mean(noise * np.roll(noise, 1, axis=1 - axis)) / np.mean(noise**2)
     along = np.mean(noise * np.roll(noise, 2, axis=axis)) / np.mean(noise**2)
     assert across > 0.8

@@ -20,6 +20,7 @@ from treadlight.integrate.gaps import hidden_cuts, looked_at
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.patches import Patches, find_patches, kinds_of, way_out
+from treadlight.tread.robust import row_medians
 
 # Around a cell of a cut this share of the pixels does not fit the model; in it, the greater part.
 _POOR_SHARE = 0.35
@@ -371,7 +372,7 @@ def _median_along(laser: LaserCells, calm: np.ndarray, grid: CylinderGrid) -> np
                 chosen = np.arange(len(points))
             near = _nearest(chosen, len(points), grid.periodic)
             values = np.append(laser.value[points], np.nan)
-            median[points] = np.nanmedian(values[near], axis=1)
+            median[points] = row_medians(values[near])[0]
     return median
 
 

@@ -180,43 +180,32 @@ def _add_edges(first, last, w_theta, w_z, step, r, residual):
             residual[i, j] += value
 
 
-def perturbation(
-    problem: Problem,
-    system: System,
-    laser: np.ndarray,
-    shared: float,
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """A random right-hand side under the noise of all constraints: (n, m), mm^-1.
+def perturbation(system: System, shared: float, rng: np.random.Generator) -> np.ndarray:
+    """A random right-hand side under the noise of all constraints: (n, m) float32, mm^-1.
 
     Heights that answer to it have the covariance of the solution. The jumps from cell to cell
     share their noise with those beside them.
 
     Parameters
     ----------
-    problem : Problem
     system : System
-    laser : (n, m) float
-        Variance of the laser's part, mm^-2.
     shared : float
         How many neighbours across an edge's direction share their noise, at least 1.
     rng : numpy.random.Generator
     """
-    noise = np.sqrt(problem.prior_weight + laser) * rng.standard_normal(laser.shape)
-    jumps = [
-        np.sqrt(w) * shared_noise(w.shape, 1 - axis, shared, rng)
-        for axis, w in enumerate((system.w_theta, system.w_z))
-    ]
-    noise += np.roll(jumps[0], 1, axis=0) - jumps[0]
-    noise += np.roll(jumps[1], 1, axis=1) - jumps[1]
-    return noise.astype(np.float32)
+    noise = np.sqrt(system.data) * rng.standard_normal(system.data.shape, np.float32)
+    for axis, weight in enumerate((system.w_theta, system.w_z)):
+        jump = np.sqrt(weight) * shared_noise(weight.shape, 1 - axis, shared, rng)
+        noise -= jump
+        noise += np.roll(jump, 1, axis=axis)
+    return noise
 
 
 def shared_noise(
     shape: tuple[int, int], axis: int, shared: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Unit normal noise whose correlations along an axis sum up to `shared`."""
-    noise = rng.standard_normal(shape)
+    """Unit normal noise whose correlations along an axis sum up to `shared`, float32."""
+    noise = rng.standard_normal(shape, np.float32)
     # A Gaussian of width s correlates white noise by one of width sqrt(2) s: its sum is
     # 2 sqrt(pi) s, and it leaves 1 / (2 sqrt(pi) s) of the variance.
     width = shared / (2 * np.sqrt(np.pi))

@@ -44,11 +44,11 @@ def sampled_std(
     grid : CylinderGrid
     """
     rng = np.random.default_rng(_SEED)
-    system, pull = weighted_system(problem, solution.share, solution.laser_share)
+    system, _ = weighted_system(problem, solution.share, solution.laser_share)
     solver = Solver(system)
     total = np.zeros(grid.shape)
     for _ in range(_SAMPLES):
-        noise = perturbation(problem, system, pull, shared, rng)
+        noise = perturbation(system, shared, rng)
         total += solver.solve(noise, _TOLERANCE_MM, _MAX_ITERATIONS)[0] ** 2
     mode = grid.filter_mode
     # Logarithms are averaged, so that a wall's uncertainty does not spread over what it flanks;

@@ -71,8 +71,16 @@ def block_medians(cells: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]
     count = -(-len(cells) // rows)
     padded = np.full((count * rows, cells.shape[1]), np.nan)
     padded[: len(cells)] = cells
-    ordered = np.sort(padded.reshape(count, -1), axis=1)
+    median, known = row_medians(padded.reshape(count, -1))
+    return median, known / (rows * cells.shape[1])
+
+
+def row_medians(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Median (n,) of the finite values in each row of (n, k), NaN if there are none; their number.
+
+    By one sort: numpy's nanmedian takes far longer for short rows.
+    """
+    ordered = np.sort(values, axis=1)
     known = np.isfinite(ordered).sum(axis=1)
-    last, each = np.maximum(known - 1, 0), np.arange(count)
-    median = 0.5 * (ordered[each, last // 2] + ordered[each, (last + 1) // 2])
-    return median, known / ordered.shape[1]
+    last, each = np.maximum(known - 1, 0), np.arange(len(values))
+    return 0.5 * (ordered[each, last // 2] + ordered[each, (last + 1) // 2]), known
