@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
 from treadlight.photometric.scene import SurfacePatch, cast, coarsen, cut_patch, lit
@@ -177,6 +178,25 @@ def test_a_wall_shadows_as_far_as_the_light_is_low(zenith_deg):
     assert reach - forgiven - 2 * step < -edge < reach + step
     assert not seen[at > edge].any()
     assert lit(patch, points, led * [1, 1, -1]).all()
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_pixels_finer_than_the_surface_are_lit_as_they_are_alone_but_for_edges_of_shadows(seed):
+    """Squares of pixels about as wide as a cell are judged by their corners."""
+    patch, rng = blocky(seed, 0)
+    v, u = np.mgrid[:64, :96]
+    phi, z = (v - 32) * 0.1 / RADIUS, (u - 48) * 0.1
+    points = np.stack([phi, z, height_at(patch, patch.r, phi, z)], axis=-1).reshape(-1, 3)
+    leds = rng.uniform([150, -300, -300], [500, 300, 300], (6, 3))
+    leds[0] = [RADIUS + 20, 0, 300]
+    together = lit(patch, points, leds, 96).reshape(6, 64, 96)
+    alone = np.stack([lit(patch, point[None], leds)[:, 0] for point in points], axis=1)
+    alone = alone.reshape(together.shape)
+    near_edge = ndimage.maximum_filter(alone, (1, 9, 9)) != ndimage.minimum_filter(alone, (1, 9, 9))
+    np.testing.assert_array_equal(together[~near_edge], alone[~near_edge])
+    assert (together != alone).mean() < 0.02
+    assert 0 < alone[0].mean() < 1
 
 
 def test_what_is_highest_is_lit_whatever_its_neighbours_are():

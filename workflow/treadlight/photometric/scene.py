@@ -78,6 +78,11 @@ class SurfacePatch:
         return block_tops(self.r, size), -block_tops(-self.r_std, size)
 
     @cached_property
+    def hurdles(self) -> np.ndarray:
+        """Highest `r` within blocks of `shadow_kernels.BLOCK` cells and those around each."""
+        return _with_neighbours(self.obstacles[0])
+
+    @cached_property
     def crests(self) -> np.ndarray:
         """Highest surface at a column or beyond it, towards -z (row 0) and +z (row 1)."""
         crest = np.fmax.reduce(self.r, axis=0, initial=-np.inf)
@@ -233,7 +238,7 @@ def lit(
         down, across = shadow_kernels.tiles(width, len(points))
         by_ranges(
             shadow_kernels.lit, down * across, _LEAST_TILES,
-            patch.r, patch.r_std, patch.obstacles, patch.crests,
+            patch.r, patch.r_std, patch.obstacles, patch.hurdles, patch.crests,
             patch.phi_0, patch.step_phi, patch.z_0, patch.step_z, patch.r_max, patch.step_mm,
             np.ascontiguousarray(points, np.float64), np.ascontiguousarray(leds, np.float64),
             width, out,

@@ -1,7 +1,9 @@
 """Which LEDs the surface hides from points of it, compiled; `scene` says what is what.
 
 A ray to an LED walks by one cell. For the pixels of a tile together it is first found out where on
-their way to an LED they could meet anything at all: elsewhere none of them need look.
+their way to an LED they could meet anything at all: elsewhere none of them need look. Where one
+looks, steps that stay above the highest surface around them are left out, and of pixels that are
+finer than the surface's cells only the corners of squares look as long as they agree.
 """
 
 import math
@@ -17,6 +19,9 @@ BLOCK = 8
 _TILE_ROWS, _TILE_COLUMNS, _WIDEST_CELLS = 8, 32, 64
 _PART_ROWS, _PART_COLUMNS = 4, 8
 _ACROSS = _TILE_COLUMNS // _PART_COLUMNS
+# Pixels along a side of the squares that are judged by their corners, and how many cells wide
+# these are at the most.
+_SQUARE, _SQUARE_CELLS = 4, 2.0
 _PARTS = _TILE_ROWS // _PART_ROWS * _ACROSS
 _MAX_STEPS = 4096
 
@@ -30,7 +35,7 @@ def tiles(width, pixels):
 
 @kernel
 def lit(
-    first, last, r, r_std, obstacles, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
+    first, last, r, r_std, obstacles, tops, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
     points, leds, width, out,
 ):  # fmt: skip
     """Whether LEDs reach points, as `scene.lit` gives it, into out (n_leds, n) of false.
@@ -41,11 +46,11 @@ def lit(
     field = (r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell)
     for tile in range(first, last):
         row, column = tile // across * _TILE_ROWS, tile % across * _TILE_COLUMNS
-        _lit_tile(field, obstacles, crests, points, leds, width, row, column, out)
+        _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, out)
 
 
 @kernel(allocates=True)
-def _lit_tile(field, obstacles, crests, points, leds, width, row, column, out):
+def _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, out):
     """A tile's pixels; where they need look, parts of the tile are asked first."""
     whole = _bounds(field, points, width, row, column, _TILE_ROWS, _TILE_COLUMNS)
     parts = np.empty((_PARTS, len(whole)))
@@ -61,26 +66,61 @@ def _lit_tile(field, obstacles, crests, points, leds, width, row, column, out):
             begin, end = near, far
             if near < far:
                 begin, end = _doubtful(field, obstacles, parts[part], leds[m])
-            _lit_part(field, crests, points, leds[m], width, v, u, begin, end, out[m])
+            _lit_part(field, tops, crests, points, leds[m], width, v, u, begin, end, out[m])
 
 
 @kernel
-def _lit_part(field, crests, points, led, width, row, column, near, far, out):
+def _lit_part(field, tops, crests, points, led, width, row, column, near, far, out):
     """The pixels of a part of a tile, which could meet something between two shares of the way."""
-    for v in range(row, row + _PART_ROWS):
+    for u in range(column, min(column + _PART_COLUMNS, width), _SQUARE):
+        _lit_square(field, tops, crests, points, led, width, row, u, near, far, out)
+
+
+@kernel
+def _lit_square(field, tops, crests, points, led, width, row, column, near, far, out):
+    """A square of pixels; where it is about one cell, corners that agree speak for all."""
+    first = row * width + column
+    last = first + (_SQUARE - 1) * width
+    whole = column + _SQUARE <= width and last + _SQUARE <= len(points)
+    corners = (first, first + _SQUARE - 1, last, last + _SQUARE - 1)
+    if whole and near < far and _are_near(field, points, corners):
+        lit_corners = 0
+        for k in corners:
+            lit_corners += _is_lit(field, tops, crests, points, k, led, near, far)
+        if lit_corners == 0:
+            return
+        if lit_corners == 4:
+            near, far = 1.0, 0.0
+    for v in range(row, row + _SQUARE):
         first = v * width + column
-        for k in range(first, min(len(points), first + _PART_COLUMNS, (v + 1) * width)):
-            phi, z, height = points[k]
-            if not height > 0.0:
-                continue
-            if near >= far:
-                out[k] = True
-                continue
-            c, s = math.cos(phi), math.sin(phi)
-            radial, tangential = c * led[0] + s * led[1] - height, c * led[1] - s * led[0]
-            out[k] = not _blocked(
-                field, crests, phi, z, height, radial, tangential, led[2] - z, near, far
-            )
+        for k in range(first, min(len(points), first + _SQUARE, (v + 1) * width)):
+            out[k] = _is_lit(field, tops, crests, points, k, led, near, far)
+
+
+@kernel
+def _are_near(field, points, corners):
+    """Whether points lie hardly further apart than cells; never where one is not known."""
+    cell = field[-1]
+    phi, z, height = points[corners[0]]
+    for k in corners:
+        apart = max(abs(points[k, 0] - phi) * height, abs(points[k, 1] - z))
+        if not apart <= _SQUARE_CELLS * cell:
+            return False
+    return True
+
+
+@kernel
+def _is_lit(field, tops, crests, points, k, led, near, far):
+    phi, z, height = points[k]
+    if not height > 0.0:
+        return False
+    if near >= far:
+        return True
+    c, s = math.cos(phi), math.sin(phi)
+    radial, tangential = c * led[0] + s * led[1] - height, c * led[1] - s * led[0]
+    return not _blocked(
+        field, tops, crests, phi, z, height, radial, tangential, led[2] - z, near, far
+    )
 
 
 @kernel
@@ -180,11 +220,19 @@ def _may_hide(obstacles, row, last_row, column, last_column, level, variance):
     return False
 
 
+@kernel(inline="always")
+def _top(tops, row, column):
+    i = min(max(int(row), 0) // BLOCK, tops.shape[0] - 1)
+    j = min(max(int(column), 0) // BLOCK, tops.shape[1] - 1)
+    return tops[i, j]
+
+
 @kernel
-def _blocked(field, crests, phi, z, height, radial, tangential, dz, near, far):
+def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, far):
     """Whether the surface hides the light at (radial, tangential, dz) from a point.
 
-    It is looked for between two shares of the way.
+    It is looked for between two shares of the way. `tops` are those of the blocks around each, so
+    that a ray above one meets nothing within a block of cells.
     """
     r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell = field
     _, leave = crossings(height, 0.0, radial, tangential, max(r_max, height))
@@ -198,7 +246,10 @@ def _blocked(field, crests, phi, z, height, radial, tangential, dz, near, far):
     ahead = crests[1] if dz > 0 else crests[0]
     first = max(1, math.floor(near / span * steps))
     last = min(steps, math.ceil(far / span * steps))
-    for i in range(first, last + 1):
+    fall = max(-radial * span / steps, 0.0)
+    i = first - 1
+    while i < last:
+        i += 1
         t = span * i / steps
         x, y = height + t * radial, t * tangential
         column = (z + t * dz - z_0) / step_z
@@ -208,6 +259,11 @@ def _blocked(field, crests, phi, z, height, radial, tangential, dz, near, far):
         if radial > 0.0 and level > ahead[nearest]:
             return False
         row = (phi + atan(y / x) - phi_0) / step_phi
+        clear = level + 0.5 * cell - _top(tops, row, column)
+        if clear >= 0.0:
+            # A row is narrower below, by no more than an eighth.
+            i += min(BLOCK - 2, int(clear / fall)) if fall > 0.0 else BLOCK - 2
+            continue
         depth = sample(r, row, column) - level
         # The square root of the variances only where half a step alone is exceeded.
         if depth > 0.5 * cell:
