@@ -17,6 +17,8 @@ from treadlight.photometric.observations import Observations
 from treadlight.threads import by_ranges
 
 _SEARCH_PX, _LOBE_PX, _SAMPLE_PX = 256, 1024, 4096
+# As many pixels of a strip stand as far apart as strips do: their LEDs stand most alike.
+_STRIP_PX = 32
 # Whole blocks of lanes, worth a thread.
 _LEAST_PX = 4 * LANES
 _SEARCH_ALPHA = 2.0 ** np.arange(1, 10)
@@ -177,7 +179,7 @@ def spread(observations: Observations, count: int) -> Observations:
 def _alike_together(direction: np.ndarray) -> np.ndarray:
     """An order (n,) of directions (n, 3): in strips along theta, by z in each of them."""
     n = len(direction)
-    strips = max(1, round(np.sqrt(n / LANES)))
+    strips = max(1, round(np.sqrt(n / _STRIP_PX)))
     strip = np.empty(n, int)
     strip[np.argsort(direction[:, 1], kind="stable")] = np.arange(n) * strips // max(n, 1)
     return np.lexsort((direction[:, 2], strip))
