@@ -312,13 +312,13 @@ class _Paths:
     def __init__(self, field: ViewField, steps: np.ndarray, grid: CylinderGrid):
         slope = field.slope
         self.spacing = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
-        self._steps = [np.cumsum(steps, axis=k) for k in range(2)]
+        self._steps = [np.cumsum(steps, axis=k, dtype=np.int32) for k in range(2)]
         with np.errstate(invalid="ignore"):
             good = (np.abs(slope) < _WALL_SLOPE).all(axis=0)
             usual = np.nanmedian(field.variance, axis=(1, 2)) if good.any() else np.ones(2)
             good &= (field.variance < _UNSURE * usual[:, None, None]).all(axis=0)
         good = ndimage.binary_erosion(good, iterations=_MARGIN_CELLS)
-        self._good = [np.cumsum(good, axis=k) for k in range(2)]
+        self._good = [np.cumsum(good, axis=k, dtype=np.int32) for k in range(2)]
         self._sums = [
             np.cumsum(np.where(good, slope[k].astype(np.float64), 0.0), axis=k) for k in range(2)
         ]

@@ -204,12 +204,19 @@ def perturbation(system: System, shared: float, rng: np.random.Generator) -> np.
 def shared_noise(
     shape: tuple[int, int], axis: int, shared: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Unit normal noise whose correlations along an axis sum up to `shared`, float32."""
+    """Unit normal noise whose correlations along an axis sum up to `shared`, float32.
+
+    The sum of `whole` neighbours of white noise and a part of the next one: in time that does not
+    depend on how many these are.
+    """
     noise = rng.standard_normal(shape, np.float32)
-    # A Gaussian of width s correlates white noise by one of width sqrt(2) s: its sum is
-    # 2 sqrt(pi) s, and it leaves 1 / (2 sqrt(pi) s) of the variance.
-    width = shared / (2 * np.sqrt(np.pi))
     if shared <= 1:
         return noise
-    smooth = ndimage.gaussian_filter1d(noise, width, axis=axis, mode="wrap")
-    return smooth / smooth.std()
+    whole = int(shared)
+    # (whole + part)^2 / (whole + part^2) = shared.
+    root = np.sqrt(whole**2 - (shared - 1) * whole * (shared - whole))
+    part = (whole - root) / (shared - 1)
+    total = ndimage.uniform_filter1d(noise, whole, axis=axis, mode="wrap")
+    total *= whole
+    total += np.float32(part) * np.roll(noise, whole // 2 - whole, axis=axis)
+    return total / np.float32(np.sqrt(whole + part**2))
