@@ -3,7 +3,8 @@
 One view of 16 LED frames and 12 sections of 5120x7680 pixels, rendered once and kept. Every stage
 runs as its command does under Snakemake, on two cores; its time, processor time and largest memory
 are those of its process. The whole capture (200 sections, 17 views) is extrapolated: sections and
-views by their number, the integration by the cells of the grid. Ends with one line of JSON.
+views by their number, registration and integration by the cells of the grid. Ends with one line of
+JSON.
 """
 
 import argparse
@@ -39,7 +40,7 @@ def main() -> int:
     taken = stages.run_all(made, args.out / "results", args.cores, say)
     sections = len(read_capture(made.sections).of_kind("laser"))
     cells = cells_of(args.out / "results/surface.zarr")
-    found = summary(taken, section_s(made.sections), sections, cells)
+    found = summary(taken, section_s(made.sections), sections, cells, args.cores)
     print(json.dumps(found))
     return 0
 
@@ -70,22 +71,24 @@ def cells_of(surface: Path) -> tuple[int, float]:
     return data["r"].size, 2 * np.pi / (step * data.sizes["theta"])
 
 
-def summary(taken: dict, section: float, sections: int, cells: tuple[int, float]) -> dict[str, Any]:
+def summary(
+    taken: dict, section: float, sections: int, cells: tuple[int, float], cores: int
+) -> dict[str, Any]:
     """The figures, and the whole capture's by extrapolation."""
     count, turns = cells
-    more_sections = _SECTIONS / sections
     scale = {
-        "detect-laser-pixels": more_sections,
-        "triangulate": more_sections,
+        # The line is learned from as many sections of any capture.
+        "detect-laser-pixels": 1.0,
+        "triangulate": _SECTIONS / sections,
         "register-to-cylinder": turns,
         "photometric-stereo": _VIEWS,
         "integrate": turns,
     }
-    grows = ("register-to-cylinder", "integrate")
     whole_s = sum(scale[name] * stage["wall_s"] for name, stage in taken.items())
-    whole_gib = max(
-        stage["peak_gib"] * (turns if name in grows else 1) for name, stage in taken.items()
-    )
+    whole_s += (_SECTIONS - sections) * section / cores
+    # The integration holds one sector of the turn, however many there are.
+    grows = {"register-to-cylinder": turns}
+    whole_gib = max(grows.get(name, 1.0) * stage["peak_gib"] for name, stage in taken.items())
     view = taken["photometric-stereo"]
     figures = {
         "view_s": view["wall_s"],

@@ -49,9 +49,10 @@ class FrameReader:
             The file is damaged or differs from what the manifest says.
         """
         counts = self._decode(frame)
-        channels = self._select(counts, frame)
+        channels = np.ascontiguousarray(self._select(counts, frame))
         saturated = np.greater_equal(channels, self.capture.encoding.white_level)
-        linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
+        linear = self._linear(channels)
+        linear -= self._black(frame, np.iinfo(counts.dtype).max)
         if linear.shape[2] == 1:
             return LinearFrame(linear[:, :, 0], saturated[:, :, 0])
         return LinearFrame(linear.mean(axis=2, dtype=np.float32), np.any(saturated, axis=2))
