@@ -32,7 +32,12 @@ def kernel(
     """
     from numba import njit
 
-    usual = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": allocates}
+    usual: dict[str, Any] = {
+        "cache": True,
+        "nogil": True,
+        "error_model": "numpy",
+        "_nrt": allocates,
+    }
     decorate = njit(**usual | options)
     return decorate if function is None else decorate(function)
 
