@@ -247,6 +247,8 @@ def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, 
     first = max(1, math.floor(near / span * steps))
     last = min(steps, math.ceil(far / span * steps))
     fall = max(-radial * span / steps, 0.0)
+    # A row is narrower below, by no more than an eighth.
+    leap = BLOCK - 2.0 if lateral <= steps * cell else 0.0
     i = first - 1
     while i < last:
         i += 1
@@ -261,8 +263,7 @@ def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, 
         row = (phi + atan(y / x) - phi_0) / step_phi
         clear = level + 0.5 * cell - _top(tops, row, column)
         if clear >= 0.0:
-            # A row is narrower below, by no more than an eighth.
-            i += min(BLOCK - 2, int(clear / fall)) if fall > 0.0 else BLOCK - 2
+            i += int(min(leap, clear / fall)) if fall > 0.0 else int(leap)
             continue
         depth = sample(r, row, column) - level
         # The square root of the variances only where half a step alone is exceeded.
