@@ -117,7 +117,7 @@ def _pieces(z: np.ndarray, r: np.ndarray, noise: float, step_z: float) -> np.nda
 
 
 @kernel(allocates=True)
-def smooth_section(z, r, rows, std, piece, at, half_width, shared):  # pragma: no cover - compiled
+def smooth_section(z, r, rows, std, piece, at, half_width, shared):
     """Local straight fit at each `at`, tricube in z times Tukey's biweight, within one piece.
 
     Two rounds over the points in reach: some 20 operations per point and target.
@@ -146,9 +146,7 @@ def smooth_section(z, r, rows, std, piece, at, half_width, shared):  # pragma: n
 
 
 @kernel
-def _local_fit(
-    z, r, std, piece, at, half_width, nearest, first, shared
-):  # pragma: no cover - compiled
+def _local_fit(z, r, std, piece, at, half_width, nearest, first, shared):
     fit, slope = r[nearest], 0.0
     variance = std[nearest] ** 2
     for robust in range(3):

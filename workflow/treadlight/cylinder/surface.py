@@ -139,7 +139,7 @@ def _usual_step(r: np.ndarray) -> float:
 
 
 @kernel(allocates=True)
-def _lone_sections(value, agree, periodic):  # pragma: no cover - compiled
+def _lone_sections(value, agree, periodic):
     """1.0 for each section of a column that agrees with neither neighbour, else 0.0."""
     count = len(value)
     alone = np.ones(count)
@@ -153,9 +153,7 @@ def _lone_sections(value, agree, periodic):  # pragma: no cover - compiled
 
 
 @kernel(allocates=True)
-def fill_columns(
-    row, r, variance, n_theta, periodic, spacing, reach, agree, drift
-):  # pragma: no cover - compiled
+def fill_columns(row, r, variance, n_theta, periodic, spacing, reach, agree, drift):
     """Along theta, column by column: linear where neighbours agree, else the nearer one.
 
     About 30 operations and 25 bytes written per cell.

@@ -208,7 +208,7 @@ def _row_flags(strength: np.ndarray, clipped: np.ndarray, weak_below: float) -> 
 
 
 @kernel(allocates=True)
-def find_peaks(across, threshold, apart):  # pragma: no cover - compiled
+def find_peaks(across, threshold, apart):
     """Columns of the strongest local maxima of each row.
 
     4 bytes read and about 3 operations per pixel.
@@ -240,7 +240,7 @@ def find_peaks(across, threshold, apart):  # pragma: no cover - compiled
 
 
 @kernel
-def _insert(found, row, u, apart):  # pragma: no cover - compiled
+def _insert(found, row, u, apart):
     """Put the peak at column `u` into the list, strongest first; rivals too close give way."""
     for k in range(len(found)):
         if found[k] >= 0 and abs(found[k] - u) < apart and row[found[k]] >= row[u]:
@@ -262,7 +262,7 @@ def _insert(found, row, u, apart):  # pragma: no cover - compiled
 
 
 @kernel(allocates=True)
-def with_integral(weights, node_px):  # pragma: no cover - compiled
+def with_integral(weights, node_px):
     """Filters (m, n) at the nodes from the middle to one past the last, and their integrals.
 
     (2, m, n + 2): what lies between is linear in the first, and its integral from the middle, px,
@@ -280,7 +280,7 @@ def with_integral(weights, node_px):  # pragma: no cover - compiled
 
 
 @kernel
-def _integral(x, weight, integral, node_px):  # pragma: no cover - compiled
+def _integral(x, weight, integral, node_px):
     """Of the filter from its middle to x >= 0, px."""
     last = len(weight) - 1
     at = min(x / node_px, float(last))
@@ -291,7 +291,7 @@ def _integral(x, weight, integral, node_px):  # pragma: no cover - compiled
 
 
 @kernel
-def filter_response(row, centre, weight, integral, nodes, node_px):  # pragma: no cover - compiled
+def filter_response(row, centre, weight, integral, nodes, node_px):
     """Antisymmetric filter at a sub-pixel centre: positive where the light lies to the right.
 
     A pixel counts by the filter's mean over it: one that only its middle is weighed by would
@@ -310,7 +310,7 @@ def filter_response(row, centre, weight, integral, nodes, node_px):  # pragma: n
 
 
 @kernel
-def _gain(centre, weight, integral, nodes, node_px):  # pragma: no cover - compiled
+def _gain(centre, weight, integral, nodes, node_px):
     """Root of the sum of the squared weights at a centre."""
     reach = (nodes + 1) * node_px + 0.5
     total = 0.0
@@ -324,9 +324,7 @@ def _gain(centre, weight, integral, nodes, node_px):  # pragma: no cover - compi
 
 
 @kernel
-def zero_crossing(
-    row, start, weight, integral, nodes, node_px, search
-):  # pragma: no cover - compiled
+def zero_crossing(row, start, weight, integral, nodes, node_px, search):
     """Where the filter's response falls through zero within `search` px of `start`.
 
     Returns the position and the slope of the response there (per px, negative), or NaN.
@@ -351,9 +349,7 @@ def zero_crossing(
 
 
 @kernel
-def _crossing_with_std(
-    row, start, taps, std_px, nodes, node_px, search, noise
-):  # pragma: no cover - compiled
+def _crossing_with_std(row, start, taps, std_px, nodes, node_px, search, noise):
     weight, integral = taps[0, nodes - 1], taps[1, nodes - 1]
     centre, slope = zero_crossing(row, start, weight, integral, nodes, node_px, search)
     if np.isnan(centre) or not slope < 0.0:
@@ -363,9 +359,7 @@ def _crossing_with_std(
 
 
 @kernel
-def _best_crossing(
-    row, start, taps, std_px, nodes, node_px, search, noise
-):  # pragma: no cover - compiled
+def _best_crossing(row, start, taps, std_px, nodes, node_px, search, noise):
     """The crossing of the filter with the least variance; of the core where the flanks mislead.
 
     The wide filters weigh the line's flanks, which a wall's reflection spoils first: where
@@ -385,7 +379,7 @@ def _best_crossing(
 
 
 @kernel
-def _half_width(row, centre, level, direction):  # pragma: no cover - compiled
+def _half_width(row, centre, level, direction):
     """Distance from the centre to where the row falls below `level`, px, linear between."""
     u = math.floor(centre) if direction < 0 else math.ceil(centre)
     while 0 <= u < len(row) and row[u] >= level:
@@ -400,9 +394,7 @@ def _half_width(row, centre, level, direction):  # pragma: no cover - compiled
 
 
 @kernel(allocates=True)
-def refine_peaks(
-    smooth, found, saturated, weights, std_px, node_px, sigma_px, noise
-):  # pragma: no cover - compiled
+def refine_peaks(smooth, found, saturated, weights, std_px, node_px, sigma_px, noise):
     """Sub-pixel position, its standard deviation, width, strength and skew of found peaks.
 
     About 20 filter evaluations of 8 sigma taps per peak; nothing per pixel.

@@ -312,7 +312,7 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
 
 
 @kernel(allocates=True)
-def _node_responses(smooth, course, count, node_px):  # pragma: no cover - compiled
+def _node_responses(smooth, course, count, node_px):
     """Responses of each node's hat at the course, half a node ahead and half a node behind."""
     rows = len(course)
     at = np.zeros((rows, count))

@@ -40,7 +40,7 @@ def select_path(found: Candidates, model: LineModel) -> np.ndarray:
 
 
 @kernel(allocates=True)
-def cheapest_path(own, u, sigma_px, step_cost, empty_cost):  # pragma: no cover - compiled
+def cheapest_path(own, u, sigma_px, step_cost, empty_cost):
     """Viterbi over rows; the state after the last peak is the empty row.
 
     Parameters

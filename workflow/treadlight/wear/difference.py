@@ -127,7 +127,7 @@ def _sides_mm(grid: CylinderGrid) -> tuple[float, float]:
 @kernel(allocates=True)
 def _alignment_variance(
     first, last, theta, z, slope_theta, slope_z, rotation, radius, covariance, variance
-):  # pragma: no cover - compiled
+):
     """Variance of r' at equal (theta, z) from the motion's covariance; see Motion.jacobian."""
     for i in range(first, last):
         cos, sin = np.cos(theta[i]), np.sin(theta[i])

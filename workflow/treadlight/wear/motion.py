@@ -118,7 +118,7 @@ def _resample(
     radial,
     moved,
     moved_std,
-):  # pragma: no cover - compiled
+):
     rows = source.shape[0]
     middle = theta_0 + 0.5 * (rows - 1) * step_theta
     for i in range(first, last):
@@ -148,7 +148,7 @@ def _resample(
 
 
 @kernel
-def _linear(source, row, column):  # pragma: no cover - compiled
+def _linear(source, row, column):
     """Mean of the finite ones of four neighbours, if they carry most of the weight."""
     rows, columns = source.shape
     if not (-0.5 <= row <= rows - 0.5 and -0.5 <= column <= columns - 0.5):
@@ -166,7 +166,7 @@ def _linear(source, row, column):  # pragma: no cover - compiled
 
 
 @kernel
-def _cubic(source, row, column):  # pragma: no cover - compiled
+def _cubic(source, row, column):
     """Catmull-Rom on smooth ground (Keys 1981, a = -1/2); across steps and gaps linear."""
     rows, columns = source.shape
     i, j = int(np.floor(row)), int(np.floor(column))
@@ -188,7 +188,7 @@ def _cubic(source, row, column):  # pragma: no cover - compiled
 
 
 @kernel
-def _keys(x):  # pragma: no cover - compiled
+def _keys(x):
     x = abs(x)
     if x < 1:
         return (1.5 * x - 2.5) * x * x + 1
