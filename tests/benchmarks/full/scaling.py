@@ -56,7 +56,11 @@ def costs(stage: str, runs: list[dict[str, dict[str, float]]]) -> dict[str, obje
     taken = np.array([run[stage]["processor_s"] for run in runs])
     # The start-up's images have pixels as well.
     each = (taken[1:] - taken[0]) / (pixels[1:] - pixels[0])
-    exponent = np.polyfit(np.log(pixels[1:]), np.log(each * pixels[1:]), 1)[0]
+    # A stage that takes no time beside the start-up's scatter has none.
+    told = each > 0
+    exponent = 0.0
+    if told.sum() > 1:
+        exponent = np.polyfit(np.log(pixels[1:][told]), np.log((each * pixels[1:])[told]), 1)[0]
     return {
         "ns": [round(1e9 * float(cost), 1) for cost in each],
         "exponent": round(float(exponent), 3),
