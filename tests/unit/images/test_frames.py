@@ -131,6 +131,12 @@ def test_srgb_is_undone_before_channels_are_averaged_and_black_is_taken_off(make
     assert reader.read(frame).intensity == pytest.approx(expected, rel=1e-5)
 
 
+def test_a_colour_dark_frame_is_taken_off_a_mono_frame_channel_by_channel(make):
+    images = {"a.png": mono(200, np.uint8), "d.png": rgb(10, 20, 30)}
+    reader, frames = make(images, {"a.png": "led", "d.png": "dark"}, white=255.0)
+    assert reader.read(frames[0]).intensity == pytest.approx(180 / 255)
+
+
 def test_srgb_dark_frames_are_averaged_as_light(make):
     images = {
         "a.png": mono(200, np.uint8),

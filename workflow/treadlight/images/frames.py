@@ -51,8 +51,7 @@ class FrameReader:
         counts = self._decode(frame)
         channels = np.ascontiguousarray(self._select(counts, frame))
         saturated = np.greater_equal(channels, self.capture.encoding.white_level)
-        linear = self._linear(channels)
-        linear -= self._black(frame, np.iinfo(counts.dtype).max)
+        linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
         if linear.shape[2] == 1:
             return LinearFrame(linear[:, :, 0], saturated[:, :, 0])
         return LinearFrame(linear.mean(axis=2, dtype=np.float32), np.any(saturated, axis=2))

@@ -210,6 +210,8 @@ def shared_noise(
     depend on how many these are.
     """
     noise = rng.standard_normal(shape, np.float32)
+    # No more cells share it than there are.
+    shared = min(shared, float(shape[axis]))
     if shared <= 1:
         return noise
     whole = int(shared)
