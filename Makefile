@@ -5,9 +5,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 LOCK := workflow/envs/requirements.lock
-# How a benchmark's kernels are compiled and kept: as those of the pipeline.
-COMPILING = $$($(BIN)/python -c 'from treadlight import compiling; print(compiling.$(1)())')
-KERNELS = NUMBA_CACHE_DIR=$(call COMPILING,kernel_cache) NUMBA_CPU_FEATURES=$(call COMPILING,cpu_features)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo slurm browser test test-faults test-repro test-slurm bench-integration bench-laser \
@@ -53,11 +50,11 @@ test-slurm: slurm ## A small archive through a Slurm queue on this machine, bit 
 	$(BIN)/python tests/slurm/run.py --cores $(CORES)
 
 bench-laser: setup ## The laser line's detector beside four others (figures in build/)
-	$(KERNELS) $(BIN)/python tests/benchmarks/laser/study.py --shared ../shared --out build/bench-laser
+	$(BIN)/python tests/benchmarks/laser/study.py --shared ../shared --out build/bench-laser
 
 bench-integration: setup ## Poisson, the dissertation's and bilateral integration beside ours (figures in build/)
 	$(BIN)/snakemake --cores $(CORES) --quiet rules --config archive=../shared/captures/sample results=build/sample
-	$(KERNELS) $(BIN)/python tests/benchmarks/integration/study.py build/sample ../shared --out build/bench-integration
+	$(BIN)/python tests/benchmarks/integration/study.py build/sample ../shared --out build/bench-integration
 
 bench-photometry: setup ## Every estimator of normals on renders, photographs and a tire (figures in build/)
 	sh tests/benchmarks/photometry/povray.sh
@@ -65,17 +62,17 @@ bench-photometry: setup ## Every estimator of normals on renders, photographs an
 	@cat build/bench-photometry/summary.md build/bench-photometry/figures.json
 
 bench-speed: setup ## How fast kernels are, beside plain versions, and stages, over sizes (renders them; long)
-	$(KERNELS) NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
+	NUMBA_NUM_THREADS=2 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/speed_photometry.py
 	$(BIN)/snakemake --cores $(CORES) --quiet rules --config archive=../shared/captures/sample results=build/sample
-	$(KERNELS) $(BIN)/python tests/benchmarks/speed_multigrid.py ../shared/captures/sample/t7-00100 \
+	$(BIN)/python tests/benchmarks/speed_multigrid.py ../shared/captures/sample/t7-00100 \
 	  build/sample/captures/t7-00100 build/sample/calibrations/bench-1-2020-01/calibration.json
-	$(KERNELS) $(BIN)/python tests/benchmarks/full/scaling.py
+	$(BIN)/python tests/benchmarks/full/scaling.py
 
 bench-plan: setup ## Plan an archive of 1,000 captures: time, memory, what is added, what fails (long)
 	$(BIN)/python tests/benchmarks/plan/study.py
 
 bench-full: setup ## A sector at full size through every stage; renders it first (8 GB in build/; long)
-	$(KERNELS) $(BIN)/python tests/benchmarks/full/study.py --cores $(CORES)
+	$(BIN)/python tests/benchmarks/full/study.py --cores $(CORES)
 
 lint: setup ## Check style, types and layers
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -9,15 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from numba.core import event
 
-from treadlight import compiling, store
+from treadlight import store
 from treadlight.cli import main
 from treadlight.geometry import CylinderGrid
-
-# Before any test module imports numba.
-compiling.prepare()
-
-from numba.core import event  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"

@@ -2,6 +2,8 @@
 
 import ast
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,8 @@ from llvmlite import binding
 
 import treadlight
 from treadlight import compiling
+
+_KINDS = "empty", "zeros", "ones", "full"
 
 
 def kernels():
@@ -29,7 +33,7 @@ def called(node):
 
 def makes_array(expression):
     return any(
-        ast.unparse(c.func) in {"np.empty", "np.zeros", "np.ones", "np.full"}
+        ast.unparse(c.func) in {f"np.{kind}{like}" for kind in _KINDS for like in ("", "_like")}
         for c in ast.walk(expression)
         if isinstance(c, ast.Call)
     )
@@ -37,14 +41,21 @@ def makes_array(expression):
 
 def returns_new_array(node):
     new = {
-        ast.unparse(target)
+        name.id
         for n in ast.walk(node)
         if isinstance(n, ast.Assign) and makes_array(n.value)
         for target in n.targets
+        for name in ast.walk(target)
+        if isinstance(name, ast.Name)
     }
     values = [n.value for n in ast.walk(node) if isinstance(n, ast.Return) and n.value is not None]
     used = {n.id for value in values for n in ast.walk(value) if isinstance(n, ast.Name)}
     return bool(new & used) or any(map(makes_array, values))
+
+
+def returns_slice(node):
+    values = [n.value for n in ast.walk(node) if isinstance(n, ast.Return) and n.value is not None]
+    return any(isinstance(n, ast.Slice) for value in values for n in ast.walk(value))
 
 
 def test_what_takes_arrays_from_a_kernel_that_makes_them_says_so():
@@ -57,6 +68,8 @@ def test_what_takes_arrays_from_a_kernel_that_makes_them_says_so():
     careless = {name for name, _, node in found if name in silent and called(node) & makers}
     assert not careless
     assert not silent & makers
+    handed_on = {name for name, _, node in found if name in silent and returns_slice(node)}
+    assert not handed_on
 
 
 def test_a_kernel_that_makes_an_array_unsaid_does_not_compile():
@@ -82,9 +95,21 @@ def test_the_widest_vectors_are_used_where_there_are_any():
     assert compiling.cpu_features().endswith(",-prefer-256-bit") == wide
 
 
-def test_what_the_environment_says_already_stays(monkeypatch):
-    monkeypatch.setenv("NUMBA_CPU_FEATURES", "+sse2")
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    compiling.prepare()
-    assert os.environ["NUMBA_CPU_FEATURES"] == "+sse2"
-    assert os.environ["NUMBA_CACHE_DIR"] == str(compiling.kernel_cache())
+@pytest.mark.parametrize(
+    ("said", "kept", "features"),
+    [
+        ({}, str(compiling.kernel_cache()), compiling.cpu_features()),
+        ({"NUMBA_CACHE_DIR": "here", "NUMBA_CPU_FEATURES": "+sse2"}, "here", "+sse2"),
+        ({"NUMBA_CPU_NAME": "generic"}, str(compiling.kernel_cache()), ""),
+    ],
+)
+def test_kernels_are_compiled_and_kept_as_the_environment_says_if_it_does(said, kept, features):
+    code = (
+        "from treadlight.photometric import map_kernels; from numba import config;"
+        "print(config.CACHE_DIR, config.CPU_FEATURES, sep='\\n')"
+    )
+    ours = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=ours | said, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split("\n")[:2] == [kept, features]

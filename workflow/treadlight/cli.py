@@ -6,7 +6,6 @@ import os
 import sys
 
 import treadlight
-from treadlight import compiling
 from treadlight.commands.names import COMMANDS
 from treadlight.errors import ConfigError, sentence_of
 from treadlight.memory import require_address_space
@@ -32,7 +31,6 @@ def _run(argv: list[str]) -> int:
     _add_threads(options)
     threads = options.parse_known_args(argv)[0].threads
     require_address_space(threads)
-    compiling.prepare()
     os.environ["OMP_NUM_THREADS"] = str(threads)
     use_cores(threads)
     parser = argparse.ArgumentParser(prog="treadlight", description=treadlight.__doc__)

@@ -4,6 +4,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ def kernel(
     """
     from numba import njit
 
+    _tell_numba()
     usual: dict[str, Any] = {
         "cache": True,
         "nogil": True,
@@ -42,13 +44,18 @@ def kernel(
     return decorate if function is None else decorate(function)
 
 
-def prepare() -> None:
-    """Set what numba reads from the environment, for this process and those it starts.
+@cache
+def _tell_numba() -> None:
+    """Where kernels are kept and what they may use, unless numba's environment says it.
 
-    Before anything imports numba.
+    Not by that environment: jobs on other machines would inherit it.
     """
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache()))
-    os.environ.setdefault("NUMBA_CPU_FEATURES", cpu_features())
+    import numba
+
+    config: Any = numba.config
+    config.CACHE_DIR = config.CACHE_DIR or str(kernel_cache())
+    if config.CPU_FEATURES is None:
+        config.CPU_FEATURES = cpu_features()
 
 
 def kernel_cache() -> Path:
@@ -74,8 +81,7 @@ def cpu_features() -> str:
     LLVM keeps to half of the widest registers by default, for the sake of code that needs them
     only now and then. Wider vectors change no result: no sum is reordered.
     """
-    from llvmlite import binding
+    from numba.core.codegen import get_host_cpu_features
 
-    features = binding.get_host_cpu_features()
-    wide = ",-prefer-256-bit" if features.get("avx512f") else ""
-    return features.flatten() + wide
+    features = str(get_host_cpu_features())
+    return f"{features},-prefer-256-bit" if "+avx512f" in features.split(",") else features

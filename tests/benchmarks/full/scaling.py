@@ -16,7 +16,7 @@ import numpy as np
 import sector
 import stages
 
-# Rows and columns, from what tells the start-up to the dissertation's camera.
+# Width and height, px, from what tells the start-up to the dissertation's camera.
 _SIZES = ((160, 240), (640, 960), (1280, 1920), (2560, 3840), sector.FULL)
 _RUNS = (3, 3, 2, 1, 1)
 _CONSTANT_WITHIN = 0.15

@@ -26,7 +26,7 @@ from treadlight.simulate.plan import GAIN_PER_S
 from treadlight.simulate.render import REFERENCE_DISTANCE_MM
 from treadlight.simulate.rig import BEAM_COS_POWER
 
-# Rows and columns of the dissertation's camera.
+# Width and height of the dissertation's camera, px.
 FULL = (5120, 7680)
 
 

@@ -110,6 +110,12 @@ def test_shared_noise_has_unit_variance_and_the_sum_of_correlations_asked_for(sh
     assert 50 * along.var() == pytest.approx(1.0, rel=0.15)
 
 
+def test_no_more_cells_share_noise_than_there_are(rng):
+    noise = shared_noise((4000, 20), 1, 40.0, rng)
+    assert noise.std() == pytest.approx(1.0, rel=0.05)
+    np.testing.assert_allclose(noise, noise[:, :1] * np.ones(20), atol=1e-4)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_jumps_share_their_noise_with_those_beside_them_not_with_the_next(axis, rng):
     """Jumps along one axis alone: their differences are the right-hand side."""

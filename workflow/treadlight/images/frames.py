@@ -49,7 +49,7 @@ class FrameReader:
             The file is damaged or differs from what the manifest says.
         """
         counts = self._decode(frame)
-        channels = np.ascontiguousarray(self._select(counts, frame))
+        channels = self._select(counts, frame)
         saturated = np.greater_equal(channels, self.capture.encoding.white_level)
         linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
         if linear.shape[2] == 1:

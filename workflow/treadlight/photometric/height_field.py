@@ -22,6 +22,14 @@ def sample(field, row, column):
 
 
 @kernel(inline="always")
+def top(tops, size, row, column):
+    """Of the block of `size` cells that a place lies in; beside the grid, that of its border."""
+    i = min(max(int(row), 0) // size, tops.shape[0] - 1)
+    j = min(max(int(column), 0) // size, tops.shape[1] - 1)
+    return tops[i, j]
+
+
+@kernel(inline="always")
 def atan(q):
     """Arc tangent to 1e-5 for |q| < 0.4: rays turn little about the axis near the surface.
 

@@ -58,7 +58,7 @@ def _fma(context, a, b, c):
     def generate(context, builder, signature, arguments):
         return builder.fma(*arguments)
 
-    return a(a, a, a), generate
+    return (a(a, a, a), generate) if a == b == c else None
 
 
 # a b + c, rounded once: said instead of left to the compiler, whose choice may change.

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.height_field import atan, crossings, sample
+from treadlight.photometric.height_field import atan, crossings, sample, top
 
 # Cells along a side of the blocks whose tops are known.
 BLOCKS = (8, 64)
@@ -105,9 +105,9 @@ def _first_below(r, tops, place, span, steps, cells_per_step):
     i = 0
     while i <= steps:
         row, column, level = _at(place, span * i / steps)
-        clear = min((level - _top(tops[1], BLOCKS[1], row, column)) / fall, far)
+        clear = min((level - top(tops[1], BLOCKS[1], row, column)) / fall, far)
         if not clear >= 2.0:
-            clear = min((level - _top(tops[0], BLOCKS[0], row, column)) / fall, near)
+            clear = min((level - top(tops[0], BLOCKS[0], row, column)) / fall, near)
         if clear >= 2.0:
             i += int(min(clear, steps))
             continue
@@ -115,14 +115,6 @@ def _first_below(r, tops, place, span, steps, cells_per_step):
             return i
         i += 1
     return -1
-
-
-@kernel(inline="always")
-def _top(tops, size, row, column):
-    """The highest surface less than a block from a place; beside the grid, that of its border."""
-    i = min(max(int(row), 0) // size, tops.shape[0] - 1)
-    j = min(max(int(column), 0) // size, tops.shape[1] - 1)
-    return tops[i, j]
 
 
 @kernel

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.height_field import atan, crossings, sample
+from treadlight.photometric.height_field import atan, crossings, sample, top
 
 # Cells along a side of the blocks whose highest surface is known.
 BLOCK = 8
@@ -220,13 +220,6 @@ def _may_hide(obstacles, row, last_row, column, last_column, level, variance):
     return False
 
 
-@kernel(inline="always")
-def _top(tops, row, column):
-    i = min(max(int(row), 0) // BLOCK, tops.shape[0] - 1)
-    j = min(max(int(column), 0) // BLOCK, tops.shape[1] - 1)
-    return tops[i, j]
-
-
 @kernel
 def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, far):
     """Whether the surface hides the light at (radial, tangential, dz) from a point.
@@ -261,7 +254,7 @@ def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, 
         if radial > 0.0 and level > ahead[nearest]:
             return False
         row = (phi + atan(y / x) - phi_0) / step_phi
-        clear = level + 0.5 * cell - _top(tops, row, column)
+        clear = level + 0.5 * cell - top(tops, BLOCK, row, column)
         if clear >= 0.0:
             i += int(min(leap, clear / fall)) if fall > 0.0 else int(leap)
             continue
