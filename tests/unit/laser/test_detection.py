@@ -9,6 +9,7 @@ from treadlight.laser.detection import (
     SATURATED,
     WEAK,
     LineModel,
+    calm_rows,
     estimate_noise,
     find_peaks,
 )
@@ -52,6 +53,22 @@ def test_standard_deviation_covers_the_errors(stripes, rng):
     )
     assert 0.6 < np.mean(share < 1) < 0.8
     assert 0.87 < np.mean(share < 2) < 0.99
+
+
+def test_rows_that_speckle_shapes_oddly_are_not_less_certain(stripes, rng):
+    """Where the line goes on calmly, an odd row is speckle: its error is that of the others."""
+    truth = [course(rng) for _ in range(6)]
+    frames = [stripes(u, sigma=2.0, rng=rng) for u in truth]
+    model = learn_line_model(frames)
+    found = [detect_section(*frame, model) for frame in frames]
+    calm = np.concatenate([calm_rows(f.u[:, 0], f.flags, model) for f in found])
+    std = np.concatenate([f.u_std[:, 0] for f in found])[calm]
+    error = np.concatenate([f.u[:, 0] - u for f, u in zip(found, truth, strict=True)])[calm]
+    skew = np.abs(np.concatenate([f.skew[:, 0] for f in found]))[calm]
+    odd = skew > np.percentile(skew, 90)
+    assert calm.mean() > 0.8
+    ratio = np.sqrt(np.mean(std[odd] ** 2) / np.mean(error[odd] ** 2))
+    assert 0.8 < ratio < 1.25
 
 
 def test_line_width_is_measured_not_assumed(stripes, rng):

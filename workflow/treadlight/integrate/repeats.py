@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy import ndimage
 
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
@@ -83,13 +84,38 @@ class _Points:
     weight: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Wrong:
+    """How often a point deceives: at all, away from the edges of cuts, at them."""
+
+    usual: float
+    away: float
+    at_edges: float
+
+    def surprise(self) -> np.ndarray:
+        """What a point that differs costs away from edges and at them, (2,), at least nothing."""
+        share = np.array([self.away, self.at_edges])
+        return np.maximum(np.log((1 - share) / share), 0.0)
+
+
+def _share(deceived: np.ndarray) -> float:
+    """Laplace's rule of succession: no point that deceived is no proof that none ever does."""
+    return (np.count_nonzero(deceived) + 1) / (len(deceived) + 2)
+
+
 class _Strip:
-    """The columns (n, w) of one rib."""
+    """The columns (n, w) of one rib.
+
+    How often a point deceives is told apart for cells at the edges of cuts: where those are seen
+    a cell aside, a place that is right but for that would be as unlikely as one that lacks a cut.
+    """
 
     def __init__(self, cuts: np.ndarray, looked: np.ndarray, spacing: float, periodic: bool):
         self.cuts, self.looked = cuts, looked
         self.spacing, self.periodic = spacing, periodic
         self.step = max(1, round(spacing * _FINE))
+        # No place is tried closer than half a step.
+        self.edges = _at_edges(cuts, max(1, self.step // 2), periodic)
         n = len(cuts)
         first = self.step if periodic else 1 - n
         self.shifts = np.arange(first, n, self.step)
@@ -97,11 +123,8 @@ class _Strip:
     def hidden(self, points: _Points) -> np.ndarray:
         """Likelihood (n, w) of a cut, NaN where views look."""
         found = np.full(self.cuts.shape, np.nan)
-        seen = self.looked[points.row, points.column]
-        deceived = self.cuts[points.row, points.column][seen] != points.deep[seen]
-        # Laplace's rule of succession: no point that deceived is no proof that none ever does.
-        wrong = (np.count_nonzero(deceived) + 1) / (len(deceived) + 2)
-        if wrong < 0.5:
+        wrong = self._wrong(points)
+        if wrong.usual < 0.5:
             points = self._with_views(points)
             for window in self._windows():
                 hidden = ~self.looked[window]
@@ -109,6 +132,14 @@ class _Strip:
                     likely = self._likely(window, self._near(window, points), wrong)
                     found[window] = np.where(hidden, likely, np.nan)
         return found
+
+    def _wrong(self, points: _Points) -> _Wrong:
+        """How often points deceive where views look."""
+        place = points.row, points.column
+        seen, edges = self.looked[place], self.edges[place]
+        deceived = self.cuts[place] != points.deep
+        shares = [_share(deceived[seen & some]) for some in (True, ~edges, edges)]
+        return _Wrong(*shares)
 
     def _with_views(self, points: _Points) -> _Points:
         """The points, thinned, and twice as many rows of what views see."""
@@ -140,13 +171,13 @@ class _Strip:
         weight = points.weight[near] * np.exp(-0.5 * (away[near] / self.spacing) ** 2)
         return _Points(points.row[near], points.column[near], points.deep[near], weight)
 
-    def _likely(self, window: np.ndarray, points: _Points, wrong: float) -> np.ndarray:
+    def _likely(self, window: np.ndarray, points: _Points, wrong: _Wrong) -> np.ndarray:
         """Likelihood (w, columns) of a cut; NaN where no place explains the points."""
         total, known = np.zeros((2, len(window), self.cuts.shape[1]))
         costs = self._costs(points, wrong)
         least = costs.min()
         share = np.exp(least - costs[np.isfinite(costs)])
-        if not share.size or share.mean() < np.exp(least - self._usual_cost(points, wrong)):
+        if not share.size or share.mean() < np.exp(least - self._usual_cost(points, wrong.usual)):
             return np.full(total.shape, np.nan)
         for k in np.flatnonzero(costs < least - np.log(_NEGLIGIBLE)):
             source, inside = self._moved(window, int(self.shifts[k]))
@@ -162,17 +193,16 @@ class _Strip:
         surprise = np.log(1 - wrong) - np.log(np.where(points.deep, usual, 1 - usual))
         return float((points.weight * surprise).sum())
 
-    def _costs(self, points: _Points, wrong: float) -> np.ndarray:
+    def _costs(self, points: _Points, wrong: _Wrong) -> np.ndarray:
         """Negative logarithm (k,) of each shift's likelihood; infinite where little tells."""
-        known, differs = np.empty((2, len(self.shifts)))
-        pattern = self.cuts, self.looked, self.periodic
+        known, cost = np.empty((2, len(self.shifts)))
+        pattern = self.cuts, self.looked, self.edges, wrong.surprise(), self.periodic
         told = points.row, points.column, points.deep, points.weight
-        by_ranges(_compare, len(self.shifts), 1, self.shifts, *pattern, *told, known, differs)
+        by_ranges(_compare, len(self.shifts), 1, self.shifts, *pattern, *told, known, cost)
         everything = points.weight.sum()
-        deceived = np.log((1 - wrong) / wrong)
         with np.errstate(divide="ignore", invalid="ignore"):
-            costs = deceived * differs * everything / known
-        return np.where(known > _LEAST_KNOWN * everything, costs, np.inf)
+            cost *= everything / known
+        return np.where(known > _LEAST_KNOWN * everything, cost, np.inf)
 
     def _moved(self, row: np.ndarray, shift: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows moved by a shift, and which of them are on the grid."""
@@ -183,14 +213,24 @@ class _Strip:
         return np.clip(moved, 0, n - 1), (moved >= 0) & (moved < n)
 
 
+def _at_edges(cuts: np.ndarray, reach: int, periodic: bool) -> np.ndarray:
+    """Cells (n, w) that have cuts and tread within `reach` cells."""
+    size, mode = 2 * reach + 1, ("wrap" if periodic else "nearest", "nearest")
+    highest, lowest = (
+        each(cuts, size, mode=mode) for each in (ndimage.maximum_filter, ndimage.minimum_filter)
+    )
+    return highest != lowest
+
+
 @kernel
 def _compare(
-    first, last, shifts, cuts, looked, periodic, row, column, deep, weight, known, differs
-):
-    """Weight of the points that views look at once moved by shifts, and of those that differ."""
+    first, last, shifts, cuts, looked, edges, surprise, periodic, row, column, deep, weight,
+    known, cost,
+):  # fmt: skip
+    """Weight of the points that views look at once moved, and what those that differ cost."""
     n = len(cuts)
     for k in range(first, last):
-        known[k], differs[k] = 0.0, 0.0
+        known[k], cost[k] = 0.0, 0.0
         for point in range(len(row)):
             moved = row[point] + shifts[k]
             if periodic:
@@ -200,4 +240,4 @@ def _compare(
             if looked[moved, column[point]]:
                 known[k] += weight[point]
                 if cuts[moved, column[point]] != deep[point]:
-                    differs[k] += weight[point]
+                    cost[k] += surprise[int(edges[moved, column[point]])] * weight[point]

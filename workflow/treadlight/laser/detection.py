@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from treadlight.compiling import kernel
 
@@ -26,6 +27,8 @@ _DETECTION_SIGMA = 5.0
 _RIVAL_SHARE = 0.2
 # Shapes within this many standard deviations of the usual one are not odd.
 _ODD_SIGMA = 2.0
+# A step between rows of a quarter of the line's width is no noise.
+_CALM_SIGMA = 0.25
 # Full width at half maximum of a Gaussian, in sigmas.
 FWHM = 2.3548
 # The core of the line: filters of this many nodes (1.5 sigma) see nothing of its flanks.
@@ -161,23 +164,57 @@ def detect_section(intensity: np.ndarray, saturated: np.ndarray, model: LineMode
     u, u_std, width, strength, skew, clipped = fields
     weak = 2 * _DETECTION_SIGMA * model.noise * _row_gain(model)
     flags = _row_flags(strength, clipped, weak)
-    u_std = np.hypot(u_std, _misshape(width, skew, model)).astype(np.float32)
+    calm = calm_rows(u[:, 0], flags, model)
+    u_std = np.hypot(u_std, _misshape(width, skew, calm, model)).astype(np.float32)
     width = np.sqrt(np.maximum(width**2 - np.float32(model.blur_px**2), 0))
     return Candidates(u, u_std, width, strength, skew, flags, clipped)
 
 
-def _misshape(width: np.ndarray, skew: np.ndarray, model: LineModel) -> np.ndarray:
-    """How far a stripe of odd shape may be from the line's middle, px.
+def apart_rows(model: LineModel) -> int:
+    """How many rows further on the smoothing along the rows shares nothing any more."""
+    return max(1, math.ceil(5 * model.row_sigma_px))
 
-    A wall or a slot cuts a stripe on one side, a reflection beside it widens it: the middle
-    moves by half of what is missing or too much beyond the usual spread, and by half of what
-    one side is longer than the other.
+
+def calm_rows(u: np.ndarray, flags: np.ndarray, model: LineModel) -> np.ndarray:
+    """Rows (lines,) around which the strongest peak `u` (lines,) goes on without a step or a gap.
+
+    Rows near a step tell of the tread, not of the noise.
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        odd = np.abs(np.log(width / model.sigma_px)) - _ODD_SIGMA * model.width_spread
-        lopsided = np.abs(skew) - _ODD_SIGMA * model.skew_spread
+    u = np.where(flags == 0, u, np.nan).astype(float)
+    step = np.abs(np.diff(u, append=np.nan))
+    step = np.where(np.isfinite(step), step, np.inf)
+    around = 2 * apart_rows(model) + 5
+    return maximum_filter1d(step, around, mode="nearest") < _CALM_SIGMA * model.sigma_px
+
+
+def _misshape(
+    width: np.ndarray, skew: np.ndarray, calm: np.ndarray, model: LineModel
+) -> np.ndarray:
+    """How far a stripe of odd shape may be from the line's middle, (lines, PEAKS) px.
+
+    A wall or a slot cuts a stripe on one side, a reflection beside it widens it. Speckle makes
+    odd shapes as well, another one in every row: where the line goes on calmly, its position is
+    no worse for them, and only an oddness that lasts counts.
+    """
+    odd = np.log(width / model.sigma_px)
+    off = _off_middle(odd, skew, model)
+    if calm.any():
+        around = 2 * apart_rows(model) + 1
+        lasting = (median_filter(_filled(x[:, 0]), around, mode="nearest") for x in (odd, skew))
+        off[calm, 0] = _off_middle(*lasting, model)[calm]
+    return off
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(values), values, np.float32(0))
+
+
+def _off_middle(odd: np.ndarray, skew: np.ndarray, model: LineModel) -> np.ndarray:
+    """Half of what ln(width) is off beyond its usual spread, and of what one side is longer, px."""
+    too_odd = np.abs(odd) - _ODD_SIGMA * model.width_spread
+    lopsided = np.abs(skew) - _ODD_SIGMA * model.skew_spread
     half = 0.5 * FWHM * model.sigma_px
-    return half * np.hypot(np.maximum(odd, 0), np.maximum(lopsided, 0))
+    return half * np.hypot(np.maximum(too_odd, 0), np.maximum(lopsided, 0))
 
 
 def _row_gain(model: LineModel) -> float:

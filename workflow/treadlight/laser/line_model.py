@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 from scipy.optimize import nnls
 
 from treadlight.compiling import kernel
@@ -13,6 +12,8 @@ from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
     FWHM,
     LineModel,
+    apart_rows,
+    calm_rows,
     detect_section,
     estimate_noise,
     filter_response,
@@ -46,8 +47,6 @@ _COURSE_ROWS = 10
 _ROWS_PER_NODE = 25
 # Shrinks the filter towards one that trusts all nodes alike, against a spare sample of rows.
 _RIDGE = 0.1
-# A step between rows of a quarter of the line's width is no noise.
-_CALM_SIGMA = 0.25
 # Rows whose squared distance is beyond this many medians stand on an edge or a reflection.
 _TRIM_AT = 2.5
 _TRIMMING_ROUNDS = 3
@@ -252,15 +251,12 @@ def _measure_std(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMod
     From u(v) - (u(v - L) + u(v + L)) / 2, with L beyond what smoothing shares: its variance is
     1.5 times that of a row, and a course that is straight over 2 L drops out.
     """
-    lag = max(1, math.ceil(5 * model.row_sigma_px))
+    lag = apart_rows(model)
     ratios = []
     for intensity, saturated in frames:
         found = detect_section(intensity, saturated, model)
         u = np.where(found.flags == 0, found.u[:, 0], np.nan).astype(float)
-        step = np.abs(np.diff(u, append=np.nan))
-        step = np.where(np.isfinite(step), step, np.inf)
-        # Rows near a step tell of the tread, not of the noise.
-        calm = maximum_filter1d(step, 2 * lag + 5, mode="nearest") < _CALM_SIGMA * model.sigma_px
+        calm = calm_rows(found.u[:, 0], found.flags, model)
         if len(u) > 2 * lag:
             bend = u[lag:-lag] - 0.5 * (u[: -2 * lag] + u[2 * lag :])
             ratio = bend / math.sqrt(1.5) / found.u_std[lag:-lag, 0]
