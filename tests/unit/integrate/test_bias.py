@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate.bias import lean_of_ribs, shared_columns
+from treadlight.integrate.bias import lean_of_ribs, shared_columns, with_path_variance
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.multigrid import System
@@ -126,3 +126,19 @@ def test_jumps_share_their_noise_with_those_beside_them_not_with_the_next(axis, 
     along = np.mean(noise * np.roll(noise, 2, axis=axis)) / np.mean(noise**2)
     assert across > 0.8
     assert abs(along) < 0.05
+
+
+@pytest.mark.parametrize("over", [1, 6])
+def test_slopes_are_as_uncertain_as_their_paths_show_and_no_more(grid, over, rng):
+    """Noise as said that is every cell's own, or goes on over six: then paths miss by more."""
+    said = 0.02
+    noise = rng.normal(0, said, (4, 2, *grid.shape))
+    noise = np.sqrt(over) * ndimage.uniform_filter1d(noise, over, axis=2)
+    r = RADIUS + rng.normal(0, LASER_STD, grid.shape)
+    found = with_path_variance(
+        [view(grid, slope) for slope in noise], sections(grid, r), np.zeros(grid.shape, bool),
+        SPACING, grid,
+    )  # fmt: skip
+    variance = {float(np.median(field.variance[0])) for field in found}
+    assert len(variance) == 1
+    assert np.sqrt(variance.pop()) == pytest.approx(said * np.sqrt(over), rel=0.15)

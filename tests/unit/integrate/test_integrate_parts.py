@@ -231,10 +231,31 @@ def test_held_out_comparison_takes_the_lasers_own_noise_out(rng):
     found = compare_held_out(r, held)
     assert found.shape_rms == pytest.approx(0.061, rel=0.15)
     assert found.bias == pytest.approx(0.01, abs=0.006)
-    # Told 0.02, the truth is 0.06.
-    factor = coverage_factor(r, np.full(r.shape, 0.02), held)
-    assert factor == pytest.approx(3, rel=0.15)
-    assert coverage_factor(r, np.full(r.shape, 0.02), held.select(np.arange(n) < 5)) == 1.0
+
+
+def held_out_points(n, std, laser_std, rng):
+    """Heights (1, n) off by `std`, and points of every cell off by `laser_std`, as they say."""
+    r = rng.normal(0, std, (1, n))
+    value = rng.normal(0, laser_std, n)
+    zero = np.zeros(n, int)
+    return r, LaserCells(zero, np.arange(n), value, np.full(n, laser_std), zero)
+
+
+def test_held_out_points_ask_for_the_factor_that_they_prove(rng):
+    r, held = held_out_points(40_000, 0.06, 0.1, rng)
+    told = np.full(r.shape, 0.02)
+    assert coverage_factor(r, told, held, 1.0) == pytest.approx(3, rel=0.15)
+    assert coverage_factor(r, told, held, 1000.0) < 2
+    assert coverage_factor(r, told, held.select(held.column < 5), 1.0) == 1.0
+
+
+def test_held_out_points_that_differ_by_chance_ask_for_nothing(rng):
+    """Their own noise is three times that of the heights, whose deviation is told as it is."""
+    factors = []
+    for _ in range(40):
+        r, held = held_out_points(1000, 0.03, 0.1, rng)
+        factors.append(coverage_factor(r, np.full(r.shape, 0.03), held, 1.0))
+    assert np.mean(np.array(factors) > 1 + 1e-9) < 0.1
 
 
 def test_frame_uncertainty_follows_from_the_axis():

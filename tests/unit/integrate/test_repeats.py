@@ -65,7 +65,7 @@ def test_slots_go_on_where_no_view_looks(cuts, rng):
 
 
 def test_slots_go_on_where_views_see_each_a_little_aside(rng):
-    """Edges that are off by up to two cells make no place less likely than one that lacks a slot."""
+    """Edges that are off by up to two cells make no place unlikely."""
     missed = []
     for _ in range(20):
         pitches = rng.choice(PITCHES, 30)

@@ -155,17 +155,34 @@ def remove_bias(
 
 
 def with_path_variance(
-    field: ViewField, laser: LaserCells, steps: np.ndarray, spacing: float, grid: CylinderGrid
-) -> ViewField:
-    """The view with the variance that its slopes' integrals ask for; see `laser_pairs`."""
-    variance = field.variance.copy()
+    fields: Sequence[ViewField],
+    laser: LaserCells,
+    steps: np.ndarray,
+    spacing: float,
+    grid: CylinderGrid,
+) -> list[ViewField]:
+    """The views with the variance that their slopes' integrals ask for, where that is more.
+
+    What is left of the bias is correlated over many cells. As independent noise of the cells it
+    must have the same variance over the distance of two sections: that is what decides between
+    slopes and laser. One for all views: of a single one's pairs the laser's noise, several times
+    larger, leaves too little to tell.
+
+    Parameters
+    ----------
+    fields, laser, steps, spacing, grid
+        See `laser_pairs`.
+    """
     sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
-    for pairs in laser_pairs(field, laser, steps, spacing, grid):
-        if len(pairs.excess) >= _LEAST_PAIRS:
-            variance[pairs.axis] += np.float32(
-                _path_variance(pairs.excess, pairs.noise, pairs.length, sides[pairs.axis])
-            )
-    return replace(field, variance=variance)
+    pairs = [laser_pairs(field, laser, steps, spacing, grid) for field in fields]
+    more = np.zeros(2, np.float32)
+    for axis, side in enumerate(sides):
+        own = [each[axis] for each in pairs]
+        if sum(len(p.excess) for p in own) >= _LEAST_PAIRS:
+            said = [f.variance[axis][p.middle] for f, p in zip(fields, own, strict=True)]
+            usual = float(np.nanmedian(np.concatenate(said)))
+            more[axis] = max(0.0, _path_variance(own, side) - usual)
+    return [replace(field, variance=field.variance + more[:, None, None]) for field in fields]
 
 
 def shared_columns(
@@ -275,31 +292,26 @@ def _legendre(x: np.ndarray, degree: int) -> list[np.ndarray]:
     return values
 
 
-def _path_variance(
-    miss: np.ndarray, laser: np.ndarray, length: np.ndarray, spacing: float
-) -> float:
+def _path_variance(pairs: Sequence[Pairs], side: float) -> float:
     """Variance of a cell's slope under which the slopes' integrals miss the laser as they do.
 
-    What is left of the bias is correlated over many cells. As independent noise of the cells it
-    must have the same variance over the distance of two sections: that is what decides between
-    slopes and laser. The median is robust against unknown steps.
+    The median is robust against unknown steps.
 
     Parameters
     ----------
-    miss : (k,) float
-        Laser's height difference less the slopes' over the longer paths, mm.
-    laser : (k,) float
-        Variance of the laser's difference, mm^2.
-    length : (k,) float
-        Of the paths, mm.
-    spacing : float
-        Of the cells, mm.
+    pairs : sequence of Pairs
+        Of all views, along one axis.
+    side : float
+        Of the cells along it, mm.
     """
+    miss, noise, length = (
+        np.concatenate([getattr(p, name) for p in pairs]) for name in ("excess", "noise", "length")
+    )
     # Pairs come in two usual lengths, and a few are longer, across a section that has no point
     # because there is a slot: those few would tell of slots.
     long = length > 0.5 * np.percentile(length, 75)
-    spread = np.median(miss[long] ** 2) / CHI2_MEDIAN - np.median(laser[long])
-    return float(max(spread, 0.0) / (np.median(length[long]) * spacing))
+    spread = np.median(miss[long] ** 2) / CHI2_MEDIAN - np.median(noise[long])
+    return float(spread / (np.median(length[long]) * side))
 
 
 class _Paths:

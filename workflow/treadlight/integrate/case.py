@@ -113,7 +113,7 @@ class Case:
         about = (self.walls, self.spacing, self.grid)
         fields = [remove_bias(f, laser, self.depth, *about) for f in self.fields]
         fields = confirm(fields, laser, self.outline, *about)
-        fields = [with_path_variance(f, laser, *about) for f in fields]
+        fields = with_path_variance(fields, laser, *about)
         fields = [_leaning(f, lean) for f, lean in zip(fields, self.leans, strict=True)]
         photometry = merge_views(fields, self.grid)
         problem = self.problem(photometry, laser)
@@ -328,7 +328,7 @@ def _prove(case: Case, out: np.ndarray, counted: np.ndarray) -> tuple[HeldOut, f
     # At a wall a laser point and a cell are not the same place.
     clear = _clear(_steps(solution, case.grid) | case.walls, case.grid)
     held = held.select(clear[held.row, held.column])
-    factor = max(1.0, coverage_factor(solution.r, solved.std(case.grid), held))
+    factor = coverage_factor(solution.r, solved.std(case.grid), held, case.shared_rows)
     own = held.select(counted[held.row])
     return compare_held_out(solution.r, own), factor, solution.r
 

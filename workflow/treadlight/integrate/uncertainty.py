@@ -12,7 +12,8 @@ from treadlight.integrate.multigrid import Solver
 from treadlight.integrate.solve import Problem, Solution, perturbation, weighted_system
 
 _SAMPLES = 8
-_SMOOTHING_CELLS = 3.0
+# A wall two cells away does not lend its uncertainty to a groove's floor.
+_SMOOTHING_CELLS = 1.0
 _TOLERANCE_MM = 1e-3
 # Samples are known to a quarter by their number; what these leave undone is below 3 % of `r_std`
 # in 98 of 100 cells (of the sample archive, beside 30 iterations).
@@ -22,7 +23,9 @@ _SEED = 20170617
 _LEAST_VARIANCE = 1e-12
 # Held-out points further off than this many of their spreads are outliers.
 _OUTLIER = 5.0
-_FACTOR_RANGE = (0.3, 10.0)
+_MOST_FACTOR = 10.0
+# What one in forty samples shows by chance proves nothing.
+_SURE_SIGMA = 2.0
 _LEAST_POINTS = 30
 _ONE_SIGMA = 0.6827
 
@@ -90,12 +93,23 @@ def _usual(miss: np.ndarray, std: np.ndarray) -> np.ndarray:
     return known & (np.abs(miss) < _OUTLIER * spread)
 
 
-def coverage_factor(r: np.ndarray, r_std: np.ndarray, held: LaserCells) -> float:
-    """Factor on `r_std` that the held-out points ask for.
+def coverage_factor(
+    r: np.ndarray, r_std: np.ndarray, held: LaserCells, shared_rows: float
+) -> float:
+    """Factor on `r_std` that the held-out points prove, at least 1.
 
-    Under it 68 % of them lie within one sigma of the difference, heights and laser together. On
-    the safe side: where a section is held out, its neighbours are twice as far apart. 1 where too
-    few points are held out to say.
+    Under it 68 % of them lie within one sigma of the difference, heights and laser together, or
+    as few as chance alone may leave there: a point's own noise is several times that of the
+    heights, and a few points too many outside would ask for half as much again. Where a section
+    is held out, its neighbours are twice as far apart. 1 where too few points are held out.
+
+    Parameters
+    ----------
+    r, r_std : (n, m) float
+        mm.
+    held : LaserCells
+    shared_rows : float
+        How many neighbouring points share their errors.
     """
     miss = held.value - r[held.row, held.column]
     std = r_std[held.row, held.column]
@@ -103,9 +117,11 @@ def coverage_factor(r: np.ndarray, r_std: np.ndarray, held: LaserCells) -> float
     if known.sum() < _LEAST_POINTS:
         return 1.0
     miss, std, laser = np.abs(miss[known]), std[known], held.std[known]
-    low, high = _FACTOR_RANGE
+    chance = np.sqrt(_ONE_SIGMA * (1 - _ONE_SIGMA) * shared_rows / len(miss))
+    proven = _ONE_SIGMA - _SURE_SIGMA * chance
+    low, high = 1.0, _MOST_FACTOR
     for _ in range(40):
         middle = np.sqrt(low * high)
         inside = np.mean(miss < np.hypot(middle * std, laser))
-        low, high = (middle, high) if inside < _ONE_SIGMA else (low, middle)
+        low, high = (middle, high) if inside < proven else (low, middle)
     return float(np.sqrt(low * high))
