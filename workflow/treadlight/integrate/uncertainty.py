@@ -1,5 +1,6 @@
 """Standard uncertainty of the heights, and its proof on sections that were held out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +95,7 @@ def _usual(miss: np.ndarray, std: np.ndarray) -> np.ndarray:
 
 
 def coverage_factor(
-    r: np.ndarray, r_std: np.ndarray, held: LaserCells, shared_rows: float
+    r: np.ndarray, std: Callable[[], np.ndarray], held: LaserCells, shared_rows: float
 ) -> float:
     """Factor on `r_std` that the held-out points prove, at least 1.
 
@@ -105,23 +106,27 @@ def coverage_factor(
 
     Parameters
     ----------
-    r, r_std : (n, m) float
+    r : (n, m) float
         mm.
+    std : function without arguments
+        `r_std`, (n, m) mm; not asked for where the points' own noise explains it all.
     held : LaserCells
     shared_rows : float
         How many neighbouring points share their errors.
     """
-    miss = held.value - r[held.row, held.column]
-    std = r_std[held.row, held.column]
-    known = _usual(miss, held.std) & np.isfinite(std)
-    if known.sum() < _LEAST_POINTS:
+    held = held.select(_usual(held.value - r[held.row, held.column], held.std))
+    count = len(held.value)
+    if count < _LEAST_POINTS:
         return 1.0
-    miss, std, laser = np.abs(miss[known]), std[known], held.std[known]
-    chance = np.sqrt(_ONE_SIGMA * (1 - _ONE_SIGMA) * shared_rows / len(miss))
+    miss = np.abs(held.value - r[held.row, held.column])
+    chance = np.sqrt(_ONE_SIGMA * (1 - _ONE_SIGMA) * shared_rows / count)
     proven = _ONE_SIGMA - _SURE_SIGMA * chance
+    if np.mean(miss < held.std) >= proven:
+        return 1.0
+    r_std = std()[held.row, held.column]
     low, high = 1.0, _MOST_FACTOR
     for _ in range(40):
         middle = np.sqrt(low * high)
-        inside = np.mean(miss < np.hypot(middle * std, laser))
+        inside = np.mean(miss < np.hypot(middle * r_std, held.std))
         low, high = (middle, high) if inside < proven else (low, middle)
     return float(np.sqrt(low * high))
