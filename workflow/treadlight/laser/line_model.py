@@ -195,10 +195,24 @@ def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: flo
     return float(np.mean(profile > 0.5 * top) * (at[-1] - at[0])) / FWHM
 
 
+def _smoothed_model(model: LineModel) -> LineModel:
+    """The model of a narrow line smoothed until what it finds is not drawn to the pixels.
+
+    Noisier, it tells the course that a filter is learnt about: neighbouring rows lie at one place
+    in their pixels, and a course that is drawn aside with them would teach that.
+    """
+    blur = math.sqrt(max(0.0, _SAMPLED_SIGMA_PX**2 - model.sigma_px**2))
+    if blur == 0:
+        return model
+    spreads = model.width_spread, model.skew_spread
+    return _gaussian_model(math.hypot(model.sigma_px, blur), blur, *spreads, model.noise)
+
+
 def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
     responses, shifted = [], []
+    smoothed = _smoothed_model(model)
     for intensity, saturated in frames:
-        found = detect_section(intensity, saturated, model)
+        found = detect_section(intensity, saturated, smoothed)
         clean = ~found.saturated[:, 0] & (found.flags == 0)
         course = line_course(np.where(clean, found.u[:, 0], np.nan).astype(float), model.sigma_px)
         rows = np.flatnonzero(np.isfinite(course))
