@@ -200,8 +200,10 @@ def _misshape(
     off = _off_middle(odd, skew, model)
     if calm.any():
         around = 2 * apart_rows(model) + 1
-        lasting = (median_filter(_filled(x[:, 0]), around, mode="nearest") for x in (odd, skew))
-        off[calm, 0] = _off_middle(*lasting, model)[calm]
+        odd_around, skew_around = (
+            median_filter(_filled(x[:, 0]), around, mode="nearest") for x in (odd, skew)
+        )
+        off[calm, 0] = _off_middle(odd_around, skew_around, model)[calm]
     return off
 
 
