@@ -137,7 +137,7 @@ def test_slopes_are_as_uncertain_as_their_paths_show_and_no_more(grid, over, rng
     r = RADIUS + rng.normal(0, LASER_STD, grid.shape)
     found = with_path_variance(
         [view(grid, slope) for slope in noise], sections(grid, r), np.zeros(grid.shape, bool),
-        1.0, SPACING, grid,
+        SPACING, grid,
     )  # fmt: skip
     variance = {float(np.median(field.variance[0])) for field in found}
     assert len(variance) == 1

@@ -26,8 +26,6 @@ _ROUNDS = 12
 # Tukey's biweight keeps 95 % efficiency at this many standard deviations.
 _TUKEY = 4.685
 _LEAST_PAIRS = 100
-# Relative standard error of a variance told by the median of n squares, times sqrt(n).
-_MEDIAN_ERROR = 2.33
 # Steeper cells are walls of something, and cells much less certain than usual stand beside them;
 # so do their neighbours.
 _WALL_SLOPE = 0.35
@@ -160,7 +158,6 @@ def with_path_variance(
     fields: Sequence[ViewField],
     laser: LaserCells,
     steps: np.ndarray,
-    shared_rows: float,
     spacing: float,
     grid: CylinderGrid,
 ) -> list[ViewField]:
@@ -175,8 +172,6 @@ def with_path_variance(
     ----------
     fields, laser, steps, spacing, grid
         See `laser_pairs`.
-    shared_rows : float
-        How many neighbouring points of a section share their errors.
     """
     sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
     pairs = [laser_pairs(field, laser, steps, spacing, grid) for field in fields]
@@ -186,7 +181,7 @@ def with_path_variance(
         if sum(len(p.excess) for p in own) >= _LEAST_PAIRS:
             said = [f.variance[axis][p.middle] for f, p in zip(fields, own, strict=True)]
             usual = float(np.nanmedian(np.concatenate(said)))
-            more[axis] = max(0.0, _path_variance(own, side, shared_rows) - usual)
+            more[axis] = max(0.0, _path_variance(own, side) - usual)
     return [replace(field, variance=field.variance + more[:, None, None]) for field in fields]
 
 
@@ -297,11 +292,10 @@ def _legendre(x: np.ndarray, degree: int) -> list[np.ndarray]:
     return values
 
 
-def _path_variance(pairs: Sequence[Pairs], side: float, shared_rows: float) -> float:
+def _path_variance(pairs: Sequence[Pairs], side: float) -> float:
     """Variance of a cell's slope under which the slopes' integrals miss the laser as they do.
 
-    The median is robust against unknown steps. One standard error more than it tells: what the
-    laser's noise hides is not known to be nothing.
+    The median is robust against unknown steps.
 
     Parameters
     ----------
@@ -309,8 +303,6 @@ def _path_variance(pairs: Sequence[Pairs], side: float, shared_rows: float) -> f
         Of all views, along one axis.
     side : float
         Of the cells along it, mm.
-    shared_rows : float
-        How many neighbouring points share their errors.
     """
     miss, noise, length = (
         np.concatenate([getattr(p, name) for p in pairs]) for name in ("excess", "noise", "length")
@@ -318,9 +310,7 @@ def _path_variance(pairs: Sequence[Pairs], side: float, shared_rows: float) -> f
     # Pairs come in two usual lengths, and a few are longer, across a section that has no point
     # because there is a slot: those few would tell of slots.
     long = length > 0.5 * np.percentile(length, 75)
-    whole = np.median(miss[long] ** 2) / CHI2_MEDIAN
-    error = whole * _MEDIAN_ERROR * np.sqrt(shared_rows / np.count_nonzero(long))
-    spread = whole - np.median(noise[long]) + error
+    spread = np.median(miss[long] ** 2) / CHI2_MEDIAN - np.median(noise[long])
     return float(spread / (np.median(length[long]) * side))
 
 

@@ -108,24 +108,19 @@ class Case:
     rib_of_column: np.ndarray
     leans: list[np.ndarray]
 
-    def solve(self, laser: LaserCells, near: np.ndarray | None = None) -> "Solved":
-        """Heights from these laser points and the views, whose smooth bias they tell.
-
-        From those (n, m) of nearly the same points, where there are any.
-        """
+    def solve(self, laser: LaserCells) -> "Solved":
+        """Heights from these laser points and the views, whose smooth bias they tell."""
         about = (self.walls, self.spacing, self.grid)
         fields = [remove_bias(f, laser, self.depth, *about) for f in self.fields]
         fields = confirm(fields, laser, self.outline, *about)
-        fields = with_path_variance(
-            fields, laser, self.walls, self.shared_rows, self.spacing, self.grid
-        )
+        fields = with_path_variance(fields, laser, *about)
         fields = [_leaning(f, lean) for f, lean in zip(fields, self.leans, strict=True)]
         photometry = merge_views(fields, self.grid)
         problem = self.problem(photometry, laser)
         return Solved(
             photometry,
             problem,
-            integrate(problem, self.closed.r, self.usual_std, self.noise, near),
+            integrate(problem, self.closed.r, self.usual_std, self.noise),
             shared_columns(fields, laser, self.walls, self.shared_rows, self.spacing, self.grid),
         )
 
@@ -283,10 +278,9 @@ class Found:
 def solve_case(case: Case, out: np.ndarray, counted: np.ndarray) -> Found:
     """Heights from all sections, after a proof by those of a mask (s,) in `counted` rows (n,)."""
     grid, closed, laser = case.grid, case.closed, case.laser
-    proof, factor, near = _prove(case, out, counted)
-    if near is not None:
-        case = case.upright(near)
-    solved = case.solve(laser.select(closed.on_tread), near)
+    proof, factor, first_r = _prove(case, out, counted)
+    case = case.upright(first_r)
+    solved = case.solve(laser.select(closed.on_tread))
     photometry, solution = solved.photometry, solved.solution
     std = (factor * solved.std(grid)).astype(np.float32)
     known = np.isfinite(photometry.slope[0]) | np.isfinite(case.first.r)
@@ -313,13 +307,10 @@ def solve_case(case: Case, out: np.ndarray, counted: np.ndarray) -> Found:
     )
 
 
-def _prove(
-    case: Case, out: np.ndarray, counted: np.ndarray
-) -> tuple[HeldOut, float, np.ndarray | None]:
-    """What the sections of a mask (s,) say of heights without them, the factor they ask for.
+def _prove(case: Case, out: np.ndarray, counted: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
+    """Heights without the sections of a mask (s,), what these say, the factor they ask for.
 
-    And these heights, if views make more of them than the first surface. Of the sections' points
-    those in `counted` rows (n,) enter the figures.
+    Of their points those in `counted` rows (n,) enter the figures.
     """
     tread_points = case.laser.select(case.closed.on_tread)
     out = out[tread_points.section]
@@ -330,8 +321,8 @@ def _prove(
         lit[field.rows] |= np.isfinite(field.slope[0])
     held = tread_points.select(out & lit[tread_points.row, tread_points.column])
     if not len(held.value):
-        near = case.solve(tread_points).solution.r if case.fields else None
-        return compare_held_out(case.closed.r, held), 1.0, near
+        r = case.solve(tread_points).solution.r if case.fields else case.closed.r
+        return compare_held_out(case.closed.r, held), 1.0, r
     solved = case.solve(tread_points.select(~out))
     solution = solved.solution
     # At a wall a laser point and a cell are not the same place.

@@ -93,14 +93,20 @@ class _Wrong:
     at_edges: float
 
     def surprise(self) -> np.ndarray:
-        """What a point that differs costs away from edges and at them, (2,), at least nothing."""
+        """What a point that differs costs away from edges and at them, (2,), at least nothing.
+
+        One that agrees costs nothing anywhere: a place is not worse for having edges at points.
+        """
         share = np.array([self.away, self.at_edges])
         return np.maximum(np.log((1 - share) / share), 0.0)
 
 
-def _share(deceived: np.ndarray) -> float:
-    """Laplace's rule of succession: no point that deceived is no proof that none ever does."""
-    return (np.count_nonzero(deceived) + 1) / (len(deceived) + 2)
+def _share(deceived: np.ndarray, usual: float) -> float:
+    """Share of points that deceive, drawn to the usual one as by two more points.
+
+    No point that deceived is no proof that none ever does.
+    """
+    return float((np.count_nonzero(deceived) + 2 * usual) / (len(deceived) + 2))
 
 
 class _Strip:
@@ -114,8 +120,8 @@ class _Strip:
         self.cuts, self.looked = cuts, looked
         self.spacing, self.periodic = spacing, periodic
         self.step = max(1, round(spacing * _FINE))
-        # No place is tried closer than half a step.
-        self.edges = _at_edges(cuts, max(1, self.step // 2), periodic)
+        # A true place lies up to half a step from the nearest that is tried.
+        self.edges = _at_edges(cuts, looked, max(1, self.step // 2), periodic)
         n = len(cuts)
         first = self.step if periodic else 1 - n
         self.shifts = np.arange(first, n, self.step)
@@ -138,8 +144,9 @@ class _Strip:
         place = points.row, points.column
         seen, edges = self.looked[place], self.edges[place]
         deceived = self.cuts[place] != points.deep
-        shares = [_share(deceived[seen & some]) for some in (True, ~edges, edges)]
-        return _Wrong(*shares)
+        # Laplace's rule of succession.
+        usual = _share(deceived[seen], 0.5)
+        return _Wrong(usual, *(_share(deceived[seen & some], usual) for some in (~edges, edges)))
 
     def _with_views(self, points: _Points) -> _Points:
         """The points, thinned, and twice as many rows of what views see."""
@@ -194,7 +201,7 @@ class _Strip:
         return float((points.weight * surprise).sum())
 
     def _costs(self, points: _Points, wrong: _Wrong) -> np.ndarray:
-        """Negative logarithm (k,) of each shift's likelihood; infinite where little tells."""
+        """How unlikely each shift is (k,), a logarithm; infinite where little tells."""
         known, cost = np.empty((2, len(self.shifts)))
         pattern = self.cuts, self.looked, self.edges, wrong.surprise(), self.periodic
         told = points.row, points.column, points.deep, points.weight
@@ -213,13 +220,13 @@ class _Strip:
         return np.clip(moved, 0, n - 1), (moved >= 0) & (moved < n)
 
 
-def _at_edges(cuts: np.ndarray, reach: int, periodic: bool) -> np.ndarray:
-    """Cells (n, w) that have cuts and tread within `reach` cells."""
+def _at_edges(cuts: np.ndarray, looked: np.ndarray, reach: int, periodic: bool) -> np.ndarray:
+    """Cells (n, w) that views see both cuts and tread near, within `reach` cells."""
     size, mode = 2 * reach + 1, ("wrap" if periodic else "nearest", "nearest")
-    highest, lowest = (
-        each(cuts, size, mode=mode) for each in (ndimage.maximum_filter, ndimage.minimum_filter)
+    cut, tread = (
+        ndimage.maximum_filter(mask, size, mode=mode) for mask in (cuts & looked, ~cuts & looked)
     )
-    return highest != lowest
+    return cut & tread
 
 
 @kernel

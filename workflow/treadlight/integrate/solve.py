@@ -17,8 +17,6 @@ _SCALE = 5.0
 # The first scale is this many standard deviations of the start, which its noise does not exceed.
 _START_SIGMA = 3.0
 _STAGES = 5
-# From heights of nearly the same constraints the last ones do.
-_LAST_STAGES = 2
 # Laser points further off than this many standard deviations count by their sign only.
 _LASER_SCALE = 2.0
 # No edge is cut quite through: the matrix stays regular.
@@ -69,13 +67,7 @@ class Solution:
     laser_share: np.ndarray
 
 
-def integrate(
-    problem: Problem,
-    start: np.ndarray,
-    start_std: float,
-    noise_std: float,
-    near: np.ndarray | None = None,
-) -> Solution:
+def integrate(problem: Problem, start: np.ndarray, start_std: float, noise_std: float) -> Solution:
     """Minimise the robust energy by graduated non-convexity.
 
     Geman-McClure's function on the residuals of the edges, its scale lowered step by step
@@ -93,16 +85,14 @@ def integrate(
     noise_std : float
         Usual standard deviation of an edge from cell to cell, mm: without what is correlated
         over many cells, which edges' weights count and a step does not hide in.
-    near : (n, m) float, optional
-        Heights from nearly the same constraints, mm, which know where the steps are: taken
-        instead of the start, and through the last scales only.
     """
-    r = (start if near is None else near).astype(np.float64)
+    r = start.astype(np.float64)
     final = _SCALE * noise_std
     scales = np.geomspace(max(final, _START_SIGMA * start_std), final, _STAGES)
-    for stage in range(0 if near is None else _STAGES - _LAST_STAGES, _STAGES):
-        share, laser_share = _shares(problem, r, float(scales[stage]))
-        iterations = _FINAL_ITERATIONS if stage == _STAGES - 1 else _STAGE_ITERATIONS
+    for stage, scale in enumerate(scales):
+        last = stage == _STAGES - 1
+        share, laser_share = _shares(problem, r, float(scale))
+        iterations = _FINAL_ITERATIONS if last else _STAGE_ITERATIONS
         r = linear_solve(problem, r, share, laser_share, iterations)
     return Solution(r, share, laser_share)
 

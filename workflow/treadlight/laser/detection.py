@@ -196,7 +196,8 @@ def _misshape(
     odd shapes as well, another one in every row: where the line goes on calmly, its position is
     no worse for them, and only an oddness that lasts counts.
     """
-    odd = np.log(width / model.sigma_px)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        odd = np.log(width / model.sigma_px)
     off = _off_middle(odd, skew, model)
     if calm.any():
         around = 2 * apart_rows(model) + 1
@@ -208,6 +209,7 @@ def _misshape(
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
+    """Without NaN, which would spoil the running median for all rows behind."""
     return np.where(np.isfinite(values), values, np.float32(0))
 
 

@@ -33,7 +33,7 @@ _WIDTH_LINES = 16_000
 # Below this sigma a Gaussian line keeps over 6 % of its contrast at the pixels' Nyquist frequency:
 # it is undersampled, and what a sharp filter finds would hang on where in its pixel the line is.
 _UNDERSAMPLED_SIGMA_PX = 0.75
-# Such a line is smoothed to this sigma (0.1 % at Nyquist).
+# Such a line is smoothed to this sigma (0.1 % at Nyquist), as is a wider one for its course.
 _SAMPLED_SIGMA_PX = 1.2
 # The median line is drawn this far from its middle, in the sigma of the round before.
 _PROFILE_REACH_SIGMA = 8.0
@@ -214,7 +214,8 @@ def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMode
     for intensity, saturated in frames:
         found = detect_section(intensity, saturated, smoothed)
         clean = ~found.saturated[:, 0] & (found.flags == 0)
-        course = line_course(np.where(clean, found.u[:, 0], np.nan).astype(float), model.sigma_px)
+        u = np.where(clean, found.u[:, 0], np.nan).astype(float)
+        course = line_course(u, smoothed.sigma_px)
         rows = np.flatnonzero(np.isfinite(course))
         smooth = smooth_frame(intensity, model)
         at, ahead, behind = _node_responses(
