@@ -215,7 +215,7 @@ def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMode
         found = detect_section(intensity, saturated, smoothed)
         clean = ~found.saturated[:, 0] & (found.flags == 0)
         u = np.where(clean, found.u[:, 0], np.nan).astype(float)
-        course = line_course(u, smoothed.sigma_px)
+        course = line_course(u, model.sigma_px)
         rows = np.flatnonzero(np.isfinite(course))
         smooth = smooth_frame(intensity, model)
         at, ahead, behind = _node_responses(
