@@ -252,6 +252,11 @@ def test_held_out_points_ask_for_the_factor_that_they_prove(rng):
     assert coverage_factor(r, told, held.select(held.column < 5), 1.0) == 1.0
 
 
+def test_held_out_points_whose_own_noise_explains_all_ask_for_no_deviation(rng):
+    r, held = held_out_points(1000, 0.0, 0.1, rng)
+    assert coverage_factor(r, lambda: pytest.fail("asked for"), held, 1.0) == 1.0
+
+
 def test_held_out_points_that_differ_by_chance_ask_for_nothing(rng):
     """Their own noise is three times that of the heights, whose deviation is told as it is."""
     factors = []

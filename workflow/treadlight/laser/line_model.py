@@ -82,12 +82,10 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
         sigma, width_spread, skew_spread = _measure_shape(few, model)
         if abs(math.log(sigma / before)) < _SETTLED:
             break
-    narrow = sigma < _UNDERSAMPLED_SIGMA_PX
-    blur = math.sqrt(_SAMPLED_SIGMA_PX**2 - sigma**2) if narrow else 0.0
-    model = _gaussian_model(math.hypot(sigma, blur), blur, width_spread, skew_spread, noise)
+    model = _gaussian_model(sigma, 0.0, width_spread, skew_spread, noise)
     # A filter learnt from undersampled rows would learn where the pixels are.
-    if not narrow:
-        model = _best_model(frames, model)
+    narrow = sigma < _UNDERSAMPLED_SIGMA_PX
+    model = _smoothed_model(model) if narrow else _best_model(frames, model)
     return _measure_std(frames, model)
 
 
@@ -196,11 +194,7 @@ def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: flo
 
 
 def _smoothed_model(model: LineModel) -> LineModel:
-    """The model of a narrow line smoothed until what it finds is not drawn to the pixels.
-
-    Noisier, it tells the course that a filter is learnt about: neighbouring rows lie at one place
-    in their pixels, and a course that is drawn aside with them would teach that.
-    """
+    """The model of a narrow line smoothed until what it finds is not drawn to the pixels."""
     blur = math.sqrt(max(0.0, _SAMPLED_SIGMA_PX**2 - model.sigma_px**2))
     if blur == 0:
         return model
@@ -210,6 +204,8 @@ def _smoothed_model(model: LineModel) -> LineModel:
 
 def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
     responses, shifted = [], []
+    # Neighbouring rows lie at one place in their pixels: a course that is drawn aside with them
+    # would teach that.
     smoothed = _smoothed_model(model)
     for intensity, saturated in frames:
         found = detect_section(intensity, saturated, smoothed)
