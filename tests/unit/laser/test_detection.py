@@ -240,3 +240,24 @@ def test_the_filter_of_a_narrow_line_is_not_taught_the_pixels(stripes, rng):
         phase = np.floor(8 * (np.concatenate(truth) % 1)).astype(int)
         most.append(np.abs([np.nanmean(error[phase == k]) for k in range(8)]).max())
     assert np.mean(most) < 0.014
+
+
+def test_rounded_flanks_do_not_draw_a_narrow_line_to_the_pixels(stripes):
+    """The filter weighs the flanks, which an 8 bit camera rounds to a few levels."""
+    most = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        starts = 40 + np.linspace(0, 1, 48, endpoint=False)
+        truth = [start + 1.5 * np.sin(np.linspace(0, 3, ROWS)) for start in starts]
+        frames = []
+        for u in truth:
+            light, saturated = stripes(u, sigma=0.77, peak=0.35, noise=3e-4, rng=rng)
+            rounded = np.round(255 * np.clip(light, 0, 1)) / 255
+            frames.append((rounded.astype(np.float32), saturated))
+        model = learn_line_model(frames[::2])
+        error = np.concatenate(
+            [detect_section(*f, model).u[:, 0] - u for f, u in zip(frames, truth, strict=True)]
+        )
+        phase = np.floor(8 * (np.concatenate(truth) % 1)).astype(int)
+        most.append(np.abs([np.nanmean(error[phase == k]) for k in range(8)]).max())
+    assert np.mean(most) < 0.0125

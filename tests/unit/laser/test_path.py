@@ -4,7 +4,7 @@ import pytest
 from treadlight.laser import Candidates, LineModel, select_path
 from treadlight.laser.path import cheapest_path
 
-MODEL = LineModel(2.0, 0.0, 1e-3, 0.1, 0.1, 1.0, np.eye(3), np.ones(3))
+MODEL = LineModel(2.0, 0.0, 1e-3, 0.1, 0.1, 1.0, np.eye(3), np.ones(3), np.zeros(4))
 
 
 def candidates(u, strength, width=None):

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from treadlight.archive import Capture, Frame
     from treadlight.laser.detection import Candidates, LineModel
 
-# The line's shape is learnt from so many frames, spread over the capture.
-_LEARNT_FRAMES = 12
+# The line's shape is learnt from frames spread over the capture: so many, or with so many lines.
+_LEARNT_FRAMES, _LEARNT_LINES = 12, 16_000
 # A lit section is seen in more rows than this share; two lines compete in more than that.
 _SEEN_SHARE = 0.05
 _TWICE_SHARE = 0.5
@@ -78,7 +78,8 @@ def detect_capture(capture: "Capture", threads: int, tell_all: bool = False) -> 
             return image.intensity.T, image.saturated.T
         return image.intensity, image.saturated
 
-    step = -(-len(frames) // _LEARNT_FRAMES)
+    lines = capture.encoding.size_px[capture.laser_scan != "columns"]
+    step = -(-len(frames) // max(_LEARNT_FRAMES, _LEARNT_LINES // lines))
     try:
         model = learn_line_model([read(frame) for frame in frames[step // 2 :: step]])
     except NoLineError as error:

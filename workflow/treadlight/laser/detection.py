@@ -29,6 +29,8 @@ _RIVAL_SHARE = 0.2
 _ODD_SIGMA = 2.0
 # A step between rows of a quarter of the line's width is no noise.
 _CALM_SIGMA = 0.25
+# What draws a line to places in its pixel is told by so many harmonics.
+PLACE_TURNS = 2
 # Full width at half maximum of a Gaussian, in sigmas.
 FWHM = 2.3548
 # The core of the line: filters of this many nodes (1.5 sigma) see nothing of its flanks.
@@ -63,6 +65,8 @@ class LineModel:
         the centre and beyond, linear between, antisymmetric); zero from node m + 1.
     std_px : (n,) float64
         Standard deviation of the position that each of these filters gives on a bright row.
+    locking_px : (4,) float64
+        How far the filters draw a line to places in the pixel: the amplitudes of `place_waves`.
     """
 
     sigma_px: float
@@ -73,6 +77,7 @@ class LineModel:
     node_px: float
     weights: np.ndarray
     std_px: np.ndarray
+    locking_px: np.ndarray
 
     @property
     def row_sigma_px(self) -> float:
@@ -163,11 +168,18 @@ def detect_section(intensity: np.ndarray, saturated: np.ndarray, model: LineMode
     )
     u, u_std, width, strength, skew, clipped = fields
     weak = 2 * _DETECTION_SIGMA * model.noise * _row_gain(model)
+    u -= (place_waves(u) @ model.locking_px).astype(np.float32)
     flags = _row_flags(strength, clipped, weak)
     calm = calm_rows(u[:, 0], flags, model)
     u_std = np.hypot(u_std, _misshape(width, skew, calm, model)).astype(np.float32)
     width = np.sqrt(np.maximum(width**2 - np.float32(model.blur_px**2), 0))
     return Candidates(u, u_std, width, strength, skew, flags, clipped)
+
+
+def place_waves(u: np.ndarray) -> np.ndarray:
+    """Cosines and sines of one to `PLACE_TURNS` turns per pixel, (..., 2 n), of columns u (...)."""
+    turns = 2 * np.pi * np.arange(1, PLACE_TURNS + 1) * np.asarray(u)[..., None]
+    return np.concatenate([np.cos(turns), np.sin(turns)], axis=-1)
 
 
 def apart_rows(model: LineModel) -> int:

@@ -11,12 +11,14 @@ from treadlight.compiling import kernel
 from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
     FWHM,
+    PLACE_TURNS,
     LineModel,
     apart_rows,
     calm_rows,
     detect_section,
     estimate_noise,
     filter_response,
+    place_waves,
     smooth_frame,
     with_integral,
 )
@@ -30,10 +32,11 @@ _SETTLED = 0.02
 _MOST_ROUNDS = 8
 # So many lines or up to twice as many tell the width.
 _WIDTH_LINES = 16_000
-# Below this sigma a Gaussian line keeps over 6 % of its contrast at the pixels' Nyquist frequency:
-# it is undersampled, and what a sharp filter finds would hang on where in its pixel the line is.
-_UNDERSAMPLED_SIGMA_PX = 0.75
-# Such a line is smoothed to this sigma (0.1 % at Nyquist), as is a wider one for its course.
+# Below this sigma a Gaussian line keeps over 17 % of its contrast at the pixels' Nyquist frequency:
+# it is so undersampled that no filter much sharper than the smoothing finds it.
+_UNDERSAMPLED_SIGMA_PX = 0.6
+# Such a line is smoothed to this sigma (0.1 % at Nyquist), as is a wider one for its course and for
+# what a sharper filter finds beside it.
 _SAMPLED_SIGMA_PX = 1.2
 # The median line is drawn this far from its middle, in the sigma of the round before.
 _PROFILE_REACH_SIGMA = 8.0
@@ -50,6 +53,10 @@ _RIDGE = 0.1
 # Rows whose squared distance is beyond this many medians stand on an edge or a reflection.
 _TRIM_AT = 2.5
 _TRIMMING_ROUNDS = 3
+# Differences of two filters beyond this many medians count as much as these: Huber's limit.
+_OUTLYING = 2.0
+# What a filter draws a line to places in its pixel by before anything is known, standard deviation.
+_LOCKING_PX = 0.02
 
 
 def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineModel:
@@ -103,7 +110,10 @@ def _gaussian_model(
     weights = np.tril(np.ones((count, count))) * taps
     # A start only: `_measure_std` scales it to what the rows show.
     std = np.full(count, 0.1 * sigma_px)
-    return LineModel(sigma_px, blur_px, noise, width_spread, skew_spread, node_px, weights, std)
+    unlocked = np.zeros(2 * PLACE_TURNS)
+    return LineModel(
+        sigma_px, blur_px, noise, width_spread, skew_spread, node_px, weights, std, unlocked
+    )
 
 
 def _measure_shape(
@@ -220,7 +230,38 @@ def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMode
         amplitude = found.strength[rows, :1]
         responses.append(at / amplitude)
         shifted.append((ahead - behind) / amplitude)
-    return _solve(np.concatenate(responses), np.concatenate(shifted) / model.node_px, model)
+    best = _solve(np.concatenate(responses), np.concatenate(shifted) / model.node_px, model)
+    return best if smoothed is model else _unlocked(frames, best, smoothed)
+
+
+def _unlocked(
+    frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel, smoothed: LineModel
+) -> LineModel:
+    """The model of a narrow line with what it draws lines to places in their pixels by.
+
+    From what it finds beside what the smoothed one finds, which is noisier but not drawn, by the
+    place of the line's course: a row's own place is where its noise took it.
+    """
+    places, apart = [], []
+    for intensity, saturated in frames:
+        one, other = (detect_section(intensity, saturated, m) for m in (model, smoothed))
+        clean = (one.flags == 0) & (other.flags == 0)
+        course = line_course(np.where(clean, other.u[:, 0], np.nan), model.sigma_px)
+        rows = np.isfinite(course)
+        places.append(course[rows])
+        apart.append((one.u - other.u)[rows, 0])
+    drawn = np.concatenate(apart).astype(float)
+    design = np.column_stack([place_waves(np.concatenate(places)), np.ones(len(drawn))])
+    if len(drawn) < _ROWS_PER_NODE * design.shape[1]:
+        return model
+    limit = _OUTLYING * float(np.median(np.abs(drawn)))
+    drawn = np.clip(drawn, -limit, limit)
+    fit = np.linalg.lstsq(design, drawn)[0]
+    # Rows that share grains count as one.
+    variance = float(np.var(drawn - design @ fit)) * apart_rows(model)
+    prior = np.diag([*np.full(design.shape[1] - 1, variance / _LOCKING_PX**2), 0])
+    amplitudes = np.linalg.solve(design.T @ design + prior, design.T @ drawn)
+    return replace(model, locking_px=amplitudes[:-1])
 
 
 def _solve(responses: np.ndarray, slopes: np.ndarray, model: LineModel) -> LineModel:
