@@ -74,7 +74,7 @@ def test_rows_that_speckle_shapes_oddly_are_not_less_certain(stripes, rng):
 def test_line_width_is_measured_not_assumed(stripes, rng):
     for sigma in (0.9, 2.0, 6.0):
         frames = [stripes(course(rng), sigma=sigma, rng=rng) for _ in range(3)]
-        assert learn_line_model(frames).sigma_px == pytest.approx(sigma, rel=0.2)
+        assert learn_line_model(frames).unblurred_sigma_px == pytest.approx(sigma, rel=0.2)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 4.0])

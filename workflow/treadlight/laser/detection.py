@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from treadlight.compiling import kernel
+from treadlight.laser.albedo import places_at_edges
 
 PEAKS = 4
 """Candidates kept per row: the line, and up to three reflections or neighbouring stripes."""
@@ -29,8 +30,6 @@ _RIVAL_SHARE = 0.2
 _ODD_SIGMA = 2.0
 # A step between rows of a quarter of the line's width is no noise.
 _CALM_SIGMA = 0.25
-# What draws a line to places in its pixel is told by so many harmonics.
-PLACE_TURNS = 2
 # Full width at half maximum of a Gaussian, in sigmas.
 FWHM = 2.3548
 # The core of the line: filters of this many nodes (1.5 sigma) see nothing of its flanks.
@@ -78,6 +77,11 @@ class LineModel:
     weights: np.ndarray
     std_px: np.ndarray
     locking_px: np.ndarray
+
+    @property
+    def unblurred_sigma_px(self) -> float:
+        """Width of the line across in the image itself."""
+        return math.sqrt(max(0.0, self.sigma_px**2 - self.blur_px**2))
 
     @property
     def row_sigma_px(self) -> float:
@@ -173,13 +177,17 @@ def detect_section(intensity: np.ndarray, saturated: np.ndarray, model: LineMode
     calm = calm_rows(u[:, 0], flags, model)
     u_std = np.hypot(u_std, _misshape(width, skew, calm, model)).astype(np.float32)
     width = np.sqrt(np.maximum(width**2 - np.float32(model.blur_px**2), 0))
+    clear = np.where(flags == 0, u[:, 0], np.nan)
+    place, std = places_at_edges(intensity, clear, model.unblurred_sigma_px, model.noise)
+    proven = np.isfinite(place)
+    u[proven, 0], u_std[proven, 0] = place[proven], std[proven]
     return Candidates(u, u_std, width, strength, skew, flags, clipped)
 
 
 def place_waves(u: np.ndarray) -> np.ndarray:
-    """Cosines and sines of one to `PLACE_TURNS` turns per pixel, (..., 2 n), of columns u (...)."""
-    turns = 2 * np.pi * np.arange(1, PLACE_TURNS + 1) * np.asarray(u)[..., None]
-    return np.concatenate([np.cos(turns), np.sin(turns)], axis=-1)
+    """Cosine and sine of one turn per pixel, then of two: (..., 4), of columns `u` (...)."""
+    turn = 2 * np.pi * u
+    return np.stack([np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)], axis=-1)
 
 
 def apart_rows(model: LineModel) -> int:

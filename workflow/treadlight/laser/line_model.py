@@ -11,7 +11,6 @@ from treadlight.compiling import kernel
 from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
     FWHM,
-    PLACE_TURNS,
     LineModel,
     apart_rows,
     calm_rows,
@@ -32,11 +31,9 @@ _SETTLED = 0.02
 _MOST_ROUNDS = 8
 # So many lines or up to twice as many tell the width.
 _WIDTH_LINES = 16_000
-# Below this sigma a Gaussian line keeps over 17 % of its contrast at the pixels' Nyquist frequency:
-# it is so undersampled that no filter much sharper than the smoothing finds it.
-_UNDERSAMPLED_SIGMA_PX = 0.6
-# Such a line is smoothed to this sigma (0.1 % at Nyquist), as is a wider one for its course and for
-# what a sharper filter finds beside it.
+# A line below this sigma is smoothed to it: a Gaussian keeps 0.1 % of its contrast at the pixels'
+# Nyquist frequency then. What is sharper is undersampled, and flanks as steep hang on where in its
+# pixel the line is.
 _SAMPLED_SIGMA_PX = 1.2
 # The median line is drawn this far from its middle, in the sigma of the round before.
 _PROFILE_REACH_SIGMA = 8.0
@@ -89,11 +86,9 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
         sigma, width_spread, skew_spread = _measure_shape(few, model)
         if abs(math.log(sigma / before)) < _SETTLED:
             break
-    model = _gaussian_model(sigma, 0.0, width_spread, skew_spread, noise)
-    # A filter learnt from undersampled rows would learn where the pixels are.
-    narrow = sigma < _UNDERSAMPLED_SIGMA_PX
-    model = _smoothed_model(model) if narrow else _best_model(frames, model)
-    return _measure_std(frames, model)
+    model = _sampled_model(_gaussian_model(sigma, 0.0, width_spread, skew_spread, noise))
+    best = _best_model(frames, model)
+    return _measure_std(frames, _unlocked(frames, best, model) if model.blur_px else best)
 
 
 def _gaussian_model(
@@ -110,7 +105,7 @@ def _gaussian_model(
     weights = np.tril(np.ones((count, count))) * taps
     # A start only: `_measure_std` scales it to what the rows show.
     std = np.full(count, 0.1 * sigma_px)
-    unlocked = np.zeros(2 * PLACE_TURNS)
+    unlocked = np.zeros(4)
     return LineModel(
         sigma_px, blur_px, noise, width_spread, skew_spread, node_px, weights, std, unlocked
     )
@@ -203,7 +198,7 @@ def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: flo
     return float(np.mean(profile > 0.5 * top) * (at[-1] - at[0])) / FWHM
 
 
-def _smoothed_model(model: LineModel) -> LineModel:
+def _sampled_model(model: LineModel) -> LineModel:
     """The model of a narrow line smoothed until what it finds is not drawn to the pixels."""
     blur = math.sqrt(max(0.0, _SAMPLED_SIGMA_PX**2 - model.sigma_px**2))
     if blur == 0:
@@ -214,14 +209,11 @@ def _smoothed_model(model: LineModel) -> LineModel:
 
 def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
     responses, shifted = [], []
-    # Neighbouring rows lie at one place in their pixels: a course that is drawn aside with them
-    # would teach that.
-    smoothed = _smoothed_model(model)
     for intensity, saturated in frames:
-        found = detect_section(intensity, saturated, smoothed)
+        found = detect_section(intensity, saturated, model)
         clean = ~found.saturated[:, 0] & (found.flags == 0)
         u = np.where(clean, found.u[:, 0], np.nan).astype(float)
-        course = line_course(u, model.sigma_px)
+        course = line_course(u, model)
         rows = np.flatnonzero(np.isfinite(course))
         smooth = smooth_frame(intensity, model)
         at, ahead, behind = _node_responses(
@@ -230,30 +222,29 @@ def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMode
         amplitude = found.strength[rows, :1]
         responses.append(at / amplitude)
         shifted.append((ahead - behind) / amplitude)
-    best = _solve(np.concatenate(responses), np.concatenate(shifted) / model.node_px, model)
-    return best if smoothed is model else _unlocked(frames, best, smoothed)
+    return _solve(np.concatenate(responses), np.concatenate(shifted) / model.node_px, model)
 
 
 def _unlocked(
-    frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel, smoothed: LineModel
+    frames: Sequence[tuple[np.ndarray, np.ndarray]], best: LineModel, model: LineModel
 ) -> LineModel:
-    """The model of a narrow line with what it draws lines to places in their pixels by.
+    """The best model with what it draws lines to places in their pixels by.
 
-    From what it finds beside what the smoothed one finds, which is noisier but not drawn, by the
-    place of the line's course: a row's own place is where its noise took it.
+    From what it finds beside what the Gaussian's derivative of `model` finds, which is noisier but
+    hardly drawn, by the place of the line's course: a row's own place is where its noise took it.
     """
     places, apart = [], []
     for intensity, saturated in frames:
-        one, other = (detect_section(intensity, saturated, m) for m in (model, smoothed))
+        one, other = (detect_section(intensity, saturated, m) for m in (best, model))
         clean = (one.flags == 0) & (other.flags == 0)
-        course = line_course(np.where(clean, other.u[:, 0], np.nan), model.sigma_px)
+        course = line_course(np.where(clean, other.u[:, 0], np.nan), model)
         rows = np.isfinite(course)
         places.append(course[rows])
         apart.append((one.u - other.u)[rows, 0])
     drawn = np.concatenate(apart).astype(float)
     design = np.column_stack([place_waves(np.concatenate(places)), np.ones(len(drawn))])
     if len(drawn) < _ROWS_PER_NODE * design.shape[1]:
-        return model
+        return best
     limit = _OUTLYING * float(np.median(np.abs(drawn)))
     drawn = np.clip(drawn, -limit, limit)
     fit = np.linalg.lstsq(design, drawn)[0]
@@ -261,7 +252,7 @@ def _unlocked(
     variance = float(np.var(drawn - design @ fit)) * apart_rows(model)
     prior = np.diag([*np.full(design.shape[1] - 1, variance / _LOCKING_PX**2), 0])
     amplitudes = np.linalg.solve(design.T @ design + prior, design.T @ drawn)
-    return replace(model, locking_px=amplitudes[:-1])
+    return replace(best, locking_px=amplitudes[:-1])
 
 
 def _solve(responses: np.ndarray, slopes: np.ndarray, model: LineModel) -> LineModel:
@@ -321,22 +312,22 @@ def _measure_std(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMod
     return replace(model, std_px=model.std_px * float(np.percentile(ratio, 68.27)))
 
 
-def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Where the rows around say that each row's line is: a straight fit without the row itself.
+def line_course(u: np.ndarray, model: LineModel) -> np.ndarray:
+    """Where the rows around say that each row's line is: a parabola's fit without the row itself.
 
     Parameters
     ----------
     u : (lines,) float64
         Positions, NaN where not known.
-    sigma_px : float
-        Rows nearer than this share smoothing with the row and are left out.
+    model : LineModel
+        Rows nearer than what its smoothing shares with the row are left out.
 
     Returns
     -------
     (lines,) float64
         NaN where half of the neighbours are missing or one strays from the fit, as at steps.
     """
-    skip = max(1, math.ceil(sigma_px))
+    skip = apart_rows(model)
     reach = skip + _COURSE_ROWS
     offsets = np.concatenate([np.arange(-reach, -skip), np.arange(skip + 1, reach + 1)])
     course = np.full(len(u), np.nan)
@@ -346,16 +337,15 @@ def line_course(u: np.ndarray, sigma_px: float) -> np.ndarray:
     around = windows[:, offsets + reach]
     known = np.isfinite(around).astype(float)
     filled = np.nan_to_num(around)
-    count, x, xx = known.sum(axis=1), known @ offsets, known @ offsets**2
-    y, xy = filled.sum(axis=1), filled @ offsets
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = (xx * y - x * xy) / (count * xx - x**2)
-        slope = (count * xy - x * y) / (count * xx - x**2)
-    residual = known * (filled - mean[:, None] - slope[:, None] * offsets)
-    spread = np.where(count < _COURSE_ROWS, np.inf, np.abs(residual).max(axis=1))
-    inside = u[reach:-reach]
-    good = (spread < max(sigma_px, 1.0)) & (np.abs(inside - mean) < max(sigma_px, 1.0))
-    course[reach:-reach] = np.where(good, mean, np.nan)
+    powers = (offsets[:, None] / reach) ** np.arange(5)
+    moments = known @ powers
+    # Where next to nothing is known, nothing is said below.
+    normal = moments[:, np.add.outer(np.arange(3), np.arange(3))] + 1e-9 * np.eye(3)
+    fit = np.linalg.solve(normal, (filled @ powers[:, :3])[..., None])[..., 0]
+    residual = known * (filled - fit @ powers[:, :3].T)
+    stray = np.maximum(np.abs(residual).max(axis=1), np.abs(u[reach:-reach] - fit[:, 0]))
+    good = (moments[:, 0] >= _COURSE_ROWS) & (stray < max(model.sigma_px, 1.0))
+    course[reach:-reach] = np.where(good, fit[:, 0], np.nan)
     return course
 
 

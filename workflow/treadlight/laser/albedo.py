@@ -1,0 +1,120 @@
+"""Where the line is if an edge of the albedo runs along it, inside the stripe.
+
+Every centroid goes to the brighter half there, by up to half the line's width. The logarithm of a
+Gaussian stripe is a parabola, and such an edge a step in it: given the step's place all else is
+linear, and there are no more places than pixels. Speckle fits nothing of this and stays as it is.
+"""
+
+import math
+
+import numpy as np
+
+# Light further out is haze and reflection.
+_REACH_SIGMA = 3.5
+# Pixels below this many standard deviations of the noise have no logarithm to speak of.
+_LIT_SIGMA = 3.0
+# How far a stripe's logarithm may be off a parabola: 2 % of the light.
+_SHAPE_ERROR = 0.02
+# A parabola with a step leaves at most this variance per degree of freedom, one without a step so
+# many times as much, and one with its step at another place this much more.
+_FITS, _PROVEN, _CERTAIN = 4.0, 25.0, 9.0
+# Its width is the line's within this factor, and its top within so many sigmas of the peak.
+_WIDTH_FACTOR, _FARTHEST_SIGMA = 1.5, 1.5
+# Constant, slope, curvature, the step and its place.
+_UNKNOWNS = 5
+
+
+def places_at_edges(
+    intensity: np.ndarray, u: np.ndarray, sigma_px: float, noise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the line where an edge of the albedo is proven to run along it.
+
+    Some 100 operations per pixel of the stripe.
+
+    Parameters
+    ----------
+    intensity : (lines, width) float32
+    u : (lines,) float32
+        The line's peak, px; NaN where none is to be looked at.
+    sigma_px, noise : float
+        As in `LineModel`.
+
+    Returns
+    -------
+    place, std : (lines,) float64
+        And its standard deviation, px; NaN where no edge is proven.
+    """
+    place, std = np.full((2, len(u)), np.nan)
+    x, y, weight = _stripes(intensity, u, sigma_px, noise)
+    step, scale = _steps(x, y, weight)
+    rows = np.flatnonzero(step)
+    if len(rows):
+        top, variance = _tops(x[rows], y[rows], weight[rows], step[rows])
+        place[rows] = u[rows] + sigma_px * top
+        std[rows] = sigma_px * np.sqrt(scale[rows] * variance)
+    return place, std
+
+
+def _stripes(
+    intensity: np.ndarray, u: np.ndarray, sigma_px: float, noise: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offsets from the peak in sigmas, logarithms of the light, their weights: (lines, n) each."""
+    reach = math.ceil(_REACH_SIGMA * sigma_px)
+    middle = np.rint(np.nan_to_num(u)).astype(int)[:, None]
+    columns = middle + np.arange(-reach, reach + 1)
+    inside = (columns >= 0) & (columns < intensity.shape[1]) & np.isfinite(u)[:, None]
+    light = intensity[np.arange(len(u))[:, None], np.where(inside, columns, 0)].astype(float)
+    lit = inside & (light > max(_LIT_SIGMA * noise, np.finfo(np.float32).tiny))
+    light = np.where(lit, light, 1.0)
+    weight = np.where(lit, 1 / (_SHAPE_ERROR**2 + (noise / light) ** 2), 0.0)
+    x = np.where(lit, (columns - np.nan_to_num(u)[:, None]) / sigma_px, 0.0)
+    return x, np.log(light), weight
+
+
+def _steps(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixel before which each row's step is proven to lie, else 0, and the variance left.
+
+    Steps at all places are tried at once: what one has in common with anything is a sum over the
+    pixels beyond it.
+    """
+    root = np.sqrt(weight)
+    basis, _ = np.linalg.qr(root[..., None] * x[..., None] ** np.arange(3))
+    left = root * y
+    left = left - (basis @ (np.swapaxes(basis, 1, 2) @ left[..., None]))[..., 0]
+    plain = np.sum(left**2, axis=1)
+    in_parabola = np.sum(_beyond(root[..., None] * basis) ** 2, axis=2)
+    own = _beyond(weight) - in_parabola
+    # A step that leaves a side without pixels is a part of the parabola.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.where(own > 1e-9 * _beyond(weight), _beyond(root * left) ** 2 / own, 0.0)
+    best = np.argmax(gain, axis=1)
+    order = np.sort(gain, axis=1)
+    free = np.sum(weight > 0, axis=1) - _UNKNOWNS
+    least = np.maximum(plain - order[:, -1], 0.0)
+    scale = np.maximum(least / np.maximum(free, 1), 1.0)
+    proven = (free > 0) & (scale <= _FITS) & (plain > _PROVEN * scale * (free + 2))
+    certain = order[:, -1] - order[:, -2] > _CERTAIN * scale
+    return np.where(proven & certain, best, 0), scale
+
+
+def _beyond(values: np.ndarray) -> np.ndarray:
+    """Sums over each pixel and those after it, (lines, n, ...)."""
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
+
+
+def _tops(
+    x: np.ndarray, y: np.ndarray, weight: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Top of each row's parabola beside a step before pixel `step`, and its variance at scale 1."""
+    beyond = np.arange(x.shape[1]) >= step[:, None]
+    design = np.stack([np.ones_like(x), x, x**2, beyond], axis=-1)
+    weighted = np.swapaxes(design * weight[..., None], 1, 2)
+    covariance = np.linalg.inv(weighted @ design)
+    _, slope, curvature, _ = np.moveaxis((covariance @ (weighted @ y[..., None]))[..., 0], 1, 0)
+    gradient = np.zeros((len(x), 4))
+    gradient[:, 1], gradient[:, 2] = -0.5 / curvature, 0.5 * slope / curvature**2
+    variance = np.einsum("vi,vij,vj->v", gradient, covariance, gradient)
+    width = np.sqrt(np.maximum(-0.5 / curvature, 0.0))
+    top = -0.5 * slope / curvature
+    alike = (width > 1 / _WIDTH_FACTOR) & (width < _WIDTH_FACTOR)
+    return np.where(alike & (np.abs(top) < _FARTHEST_SIGMA), top, np.nan), variance
