@@ -41,8 +41,9 @@ _PROFILE_REACH_SIGMA = 8.0
 _BINS_PER_PX = 4
 # A row's place in it is the median of so many rows either side, and one more per pixel of sigma.
 _MEDIAN_ROWS = 5
-# The line's course over this many rows either side tells where a row's line should be.
-_COURSE_ROWS = 10
+# The line's course over this many rows either side tells where a row's line should be, and over
+# more where more share their speckle.
+_COURSE_ROWS, _COURSE_GRAINS = 10, 4
 # Each of the filter's unknowns wants this many rows before its noise can be told.
 _ROWS_PER_NODE = 25
 # Shrinks the filter towards one that trusts all nodes alike, against a spare sample of rows.
@@ -328,7 +329,8 @@ def line_course(u: np.ndarray, model: LineModel) -> np.ndarray:
         NaN where half of the neighbours are missing or one strays from the fit, as at steps.
     """
     skip = apart_rows(model)
-    reach = skip + _COURSE_ROWS
+    side = max(_COURSE_ROWS, _COURSE_GRAINS * skip)
+    reach = skip + side
     offsets = np.concatenate([np.arange(-reach, -skip), np.arange(skip + 1, reach + 1)])
     course = np.full(len(u), np.nan)
     if len(u) <= 2 * reach:
@@ -344,7 +346,7 @@ def line_course(u: np.ndarray, model: LineModel) -> np.ndarray:
     fit = np.linalg.solve(normal, (filled @ powers[:, :3])[..., None])[..., 0]
     residual = known * (filled - fit @ powers[:, :3].T)
     stray = np.maximum(np.abs(residual).max(axis=1), np.abs(u[reach:-reach] - fit[:, 0]))
-    good = (moments[:, 0] >= _COURSE_ROWS) & (stray < max(model.sigma_px, 1.0))
+    good = (moments[:, 0] >= side) & (stray < max(model.sigma_px, 1.0))
     course[reach:-reach] = np.where(good, fit[:, 0], np.nan)
     return course
 
