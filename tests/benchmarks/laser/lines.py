@@ -120,8 +120,9 @@ def _albedo(scene: Scene, u: np.ndarray, sigma_px: float, rng: np.random.Generat
         order = rng.permutation(2 * count)
         edge = u + np.concatenate([offset, -offset])[order][band]
         side = np.repeat([1, -1], count)[order][band]
-        beyond = side[:, None] * (np.arange(WIDTH) - edge[:, None]) > 0
-        albedo[beyond] *= 0.5
+        # Of the pixel that an edge crosses a part lies beyond.
+        beyond = np.clip(side[:, None] * (np.arange(WIDTH) - edge[:, None]) + 0.5, 0, 1)
+        albedo *= 1 - 0.5 * beyond
     return albedo
 
 

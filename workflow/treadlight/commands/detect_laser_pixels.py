@@ -119,7 +119,7 @@ def doubt_of(candidates: "Candidates", path: "np.ndarray", model: "LineModel") -
         return "shows no laser line, as if the laser was off. Its section is left out."
     with np.errstate(invalid="ignore"):
         rival = strength[:, 1] > _RIVAL_STRENGTH * strength[:, 0]
-        apart = np.abs(u[:, 1] - u[:, 0]) > _APART_SIGMAS * model.sigma_px
+        apart = np.abs(u[:, 1] - u[:, 0]) > _APART_SIGMAS * model.unblurred_sigma_px
     if np.mean((rival & apart)[seen]) > _TWICE_SHARE:
         return (
             "shows the laser line twice, as by a mirror or a double exposure. Its section is"
@@ -170,5 +170,5 @@ def _dataset(
     variables["encoder"] = variable(("section",), encoder, "rad", "encoder angle")
     facts = {"scan": capture.laser_scan}
     if model is not None:
-        facts |= {"line_sigma_px": model.sigma_px, "noise": model.noise}
+        facts |= {"line_sigma_px": model.unblurred_sigma_px, "noise": model.noise}
     return xr.Dataset(variables, attrs=facts)

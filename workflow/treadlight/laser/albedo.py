@@ -1,8 +1,8 @@
 """Where the line is if an edge of the albedo runs along it, inside the stripe.
 
 Every centroid goes to the brighter half there, by up to half the line's width. The logarithm of a
-Gaussian stripe is a parabola, and such an edge a step in it: given the step's place all else is
-linear, and there are no more places than pixels. Speckle fits nothing of this and stays as it is.
+Gaussian stripe is a parabola, and such an edge a step in it at one of the few pixels, whose own
+light says nothing: it may lie on both sides. Speckle fits nothing of this and stays as it is.
 """
 
 import math
@@ -15,13 +15,15 @@ _REACH_SIGMA = 3.5
 _LIT_SIGMA = 3.0
 # How far a stripe's logarithm may be off a parabola: 2 % of the light.
 _SHAPE_ERROR = 0.02
-# A parabola with a step leaves at most this variance per degree of freedom, one without a step so
-# many times as much, and one with its step at another place this much more.
-_FITS, _PROVEN, _CERTAIN = 4.0, 25.0, 9.0
+# A parabola with a step leaves at most this variance per degree of freedom, and one without a step
+# so many times as much.
+_FITS, _PROVEN = 4.0, 9.0
 # Its width is the line's within this factor, and its top within so many sigmas of the peak.
 _WIDTH_FACTOR, _FARTHEST_SIGMA = 1.5, 1.5
-# Constant, slope, curvature, the step and its place.
-_UNKNOWNS = 5
+# Constant, slope, curvature; the step, its place and the light of the pixel there.
+_PLAIN_UNKNOWNS, _UNKNOWNS = 3, 6
+# An edge along the line goes on: of so many rows about a row's own more than half show one.
+_ROWS = 5
 
 
 def places_at_edges(
@@ -36,7 +38,9 @@ def places_at_edges(
     intensity : (lines, width) float32
     u : (lines,) float32
         The line's peak, px; NaN where none is to be looked at.
-    sigma_px, noise : float
+    sigma_px : float
+        Width of the line in this image.
+    noise : float
         As in `LineModel`.
 
     Returns
@@ -46,12 +50,15 @@ def places_at_edges(
     """
     place, std = np.full((2, len(u)), np.nan)
     x, y, weight = _stripes(intensity, u, sigma_px, noise)
-    step, scale = _steps(x, y, weight)
-    rows = np.flatnonzero(step)
-    if len(rows):
-        top, variance = _tops(x[rows], y[rows], weight[rows], step[rows])
-        place[rows] = u[rows] + sigma_px * top
-        std[rows] = sigma_px * np.sqrt(scale[rows] * variance)
+    rows = np.flatnonzero(_are_smooth(y, weight, sigma_px))
+    step, scale = _steps(x[rows], y[rows], weight[rows])
+    rows, step, scale = rows[step > 0], step[step > 0], scale[step > 0]
+    top, variance = _tops(x[rows], y[rows], weight[rows], step)
+    found = np.isfinite(top)
+    place[rows[found]] = u[rows[found]] + sigma_px * top[found]
+    std[rows[found]] = sigma_px * np.sqrt((scale * variance)[found])
+    alone = np.convolve(np.isfinite(place), np.ones(_ROWS), "same") < 0.5 * _ROWS
+    place[alone], std[alone] = np.nan, np.nan
     return place, std
 
 
@@ -71,42 +78,60 @@ def _stripes(
     return x, np.log(light), weight
 
 
-def _steps(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pixel before which each row's step is proven to lie, else 0, and the variance left.
+def _are_smooth(y: np.ndarray, weight: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Rows (lines,) whose logarithm bends as a parabola's at most pixels, as under no speckle."""
+    lit = weight > 0
+    known = lit[:, :-2] & lit[:, 1:-1] & lit[:, 2:]
+    bend = np.abs(np.diff(y, 2, axis=1) + sigma_px**-2)
+    # Three independent errors make a second difference.
+    usual = np.sqrt(6 * _FITS / np.maximum(weight[:, 1:-1], 1.0))
+    rough = known & (bend > usual + 0.5 * sigma_px**-2)
+    return 2 * np.sum(rough, axis=1) < np.sum(known, axis=1)
 
-    Steps at all places are tried at once: what one has in common with anything is a sum over the
-    pixels beyond it.
+
+def _steps(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixel at which each row's step is proven to lie, else 0, and the variance left.
+
+    Steps at all pixels are tried at once: what one has in common with anything is a sum over the
+    pixels beyond it, and the pixel's own light is a second unknown.
     """
     root = np.sqrt(weight)
     basis, _ = np.linalg.qr(root[..., None] * x[..., None] ** np.arange(3))
     left = root * y
     left = left - (basis @ (np.swapaxes(basis, 1, 2) @ left[..., None]))[..., 0]
     plain = np.sum(left**2, axis=1)
-    in_parabola = np.sum(_beyond(root[..., None] * basis) ** 2, axis=2)
-    own = _beyond(weight) - in_parabola
-    # A step that leaves a side without pixels is a part of the parabola.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.where(own > 1e-9 * _beyond(weight), _beyond(root * left) ** 2 / own, 0.0)
+    shared = _beyond(root[..., None] * basis)
+    own = root[..., None] * basis
+    steps = _beyond(weight) - np.sum(shared**2, axis=2)
+    pixel = weight - np.sum(own**2, axis=2)
+    both = -np.sum(shared * own, axis=2)
+    a, b = _beyond(root * left), root * left
+    determinant = steps * pixel - both**2
+    # A step that leaves a side with too few pixels is a part of the parabola.
+    apart = determinant > 1e-6 * np.maximum(_beyond(weight), 1.0) * np.maximum(weight, 1.0)
+    gain = pixel * a**2 - 2 * both * a * b + steps * b**2
+    gain = np.where(apart, gain / np.where(apart, determinant, 1.0), 0.0)
     best = np.argmax(gain, axis=1)
-    order = np.sort(gain, axis=1)
     free = np.sum(weight > 0, axis=1) - _UNKNOWNS
-    least = np.maximum(plain - order[:, -1], 0.0)
+    least = np.maximum(plain - np.max(gain, axis=1), 0.0)
     scale = np.maximum(least / np.maximum(free, 1), 1.0)
-    proven = (free > 0) & (scale <= _FITS) & (plain > _PROVEN * scale * (free + 2))
-    certain = order[:, -1] - order[:, -2] > _CERTAIN * scale
-    return np.where(proven & certain, best, 0), scale
+    proven = (free > 0) & (scale <= _FITS)
+    proven &= plain > _PROVEN * scale * (free + _UNKNOWNS - _PLAIN_UNKNOWNS)
+    return np.where(proven, best, 0), scale
 
 
 def _beyond(values: np.ndarray) -> np.ndarray:
-    """Sums over each pixel and those after it, (lines, n, ...)."""
-    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
+    """Sums over the pixels after each, (lines, n, ...)."""
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1] - values
 
 
 def _tops(
     x: np.ndarray, y: np.ndarray, weight: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Top of each row's parabola beside a step before pixel `step`, and its variance at scale 1."""
-    beyond = np.arange(x.shape[1]) >= step[:, None]
+    """Top of each row's parabola beside a step at pixel `step`, and its variance at scale 1."""
+    pixels = np.arange(x.shape[1])
+    beyond = pixels > step[:, None]
+    weight = np.where(pixels == step[:, None], 0.0, weight)
     design = np.stack([np.ones_like(x), x, x**2, beyond], axis=-1)
     weighted = np.swapaxes(design * weight[..., None], 1, 2)
     covariance = np.linalg.inv(weighted @ design)

@@ -2,7 +2,9 @@
 
 The dissertation takes the centroid of a row above half its maximum (eq. 3.4). Speckle makes that
 a poor estimator, so here the line is the zero crossing of an antisymmetric filter whose weights
-are the best linear ones for the noise that the line itself shows (`line_model`).
+are the best linear ones for the noise that the line itself shows (`line_model`). What these draw
+a narrow line to the pixels by is taken back, and where an edge of the albedo runs along the line
+its place is that of a model (`albedo`).
 """
 
 import math
@@ -30,6 +32,10 @@ _RIVAL_SHARE = 0.2
 _ODD_SIGMA = 2.0
 # A step between rows of a quarter of the line's width is no noise.
 _CALM_SIGMA = 0.25
+# Zero crossings are found to this: far below what any line shows.
+_TOLERANCE_PX, _MOST_SECANTS = 1e-5, 40
+# Peaks are looked for at so many places per sigma.
+_PLACES_PER_SIGMA = 2.0
 # Full width at half maximum of a Gaussian, in sigmas.
 FWHM = 2.3548
 # The core of the line: filters of this many nodes (1.5 sigma) see nothing of its flanks.
@@ -86,7 +92,7 @@ class LineModel:
     @property
     def row_sigma_px(self) -> float:
         """Smoothing along the rows: half the line's width, so that corners stay."""
-        return 0.5 * self.sigma_px
+        return 0.5 * self.unblurred_sigma_px
 
 
 @dataclass(frozen=True)
@@ -157,9 +163,7 @@ def detect_section(intensity: np.ndarray, saturated: np.ndarray, model: LineMode
     model : LineModel
     """
     smooth = smooth_frame(intensity, model)
-    across = _blur(smooth, model.sigma_px, 0.0)
-    threshold = _DETECTION_SIGMA * model.noise * _noise_gain(model)
-    found = find_peaks(across, threshold, _RESOLVED_SIGMA * model.sigma_px)
+    found = _coarse_peaks(smooth, model)
     fields = refine_peaks(
         smooth,
         found,
@@ -175,13 +179,30 @@ def detect_section(intensity: np.ndarray, saturated: np.ndarray, model: LineMode
     u -= (place_waves(u) @ model.locking_px).astype(np.float32)
     flags = _row_flags(strength, clipped, weak)
     calm = calm_rows(u[:, 0], flags, model)
+    filter_std = u_std[:, 0]
     u_std = np.hypot(u_std, _misshape(width, skew, calm, model)).astype(np.float32)
     width = np.sqrt(np.maximum(width**2 - np.float32(model.blur_px**2), 0))
     clear = np.where(flags == 0, u[:, 0], np.nan)
     place, std = places_at_edges(intensity, clear, model.unblurred_sigma_px, model.noise)
     proven = np.isfinite(place)
-    u[proven, 0], u_std[proven, 0] = place[proven], std[proven]
+    u[proven, 0], u_std[proven, 0] = place[proven], np.maximum(std, filter_std)[proven]
     return Candidates(u, u_std, width, strength, skew, flags, clipped)
+
+
+def _coarse_peaks(smooth: np.ndarray, model: LineModel) -> np.ndarray:
+    """Columns (lines, PEAKS) int32 of the peaks of a frame that is smoothed across as well.
+
+    A wide line's are looked for among means of a few columns.
+    """
+    each = max(1, int(model.sigma_px / _PLACES_PER_SIGMA))
+    lines, count = smooth.shape[0], smooth.shape[1] // each
+    means = smooth
+    if each > 1:
+        means = cv2.resize(smooth[:, : count * each], (count, lines), interpolation=cv2.INTER_AREA)
+    across = _blur(means, model.sigma_px / each, 0.0)
+    threshold = _DETECTION_SIGMA * model.noise * _noise_gain(model)
+    found = find_peaks(across, threshold, _RESOLVED_SIGMA * model.sigma_px / each)
+    return np.where(found < 0, found, each * found + each // 2).astype(np.int32)
 
 
 def place_waves(u: np.ndarray) -> np.ndarray:
@@ -395,14 +416,22 @@ def zero_crossing(row, start, weight, integral, nodes, node_px, search):
     at_high = filter_response(row, high, weight, integral, nodes, node_px)
     if not (at_low > 0.0 and at_high < 0.0):
         return np.nan, np.nan
-    # Bisection: the response is only piecewise smooth, and 16 halvings give 1e-5 of the range.
-    for _ in range(16):
-        middle = 0.5 * (low + high)
-        if filter_response(row, middle, weight, integral, nodes, node_px) > 0.0:
-            low = middle
+    # The Illinois method: secants that cannot leave the bracket.
+    centre, side = start, 0
+    for _ in range(_MOST_SECANTS):
+        before = centre
+        centre = (low * at_high - high * at_low) / (at_high - at_low)
+        if abs(centre - before) < _TOLERANCE_PX:
+            break
+        response = filter_response(row, centre, weight, integral, nodes, node_px)
+        if response > 0.0:
+            low, at_low = centre, response
+            at_high = 0.5 * at_high if side > 0 else at_high
+            side = 1
         else:
-            high = middle
-    centre = 0.5 * (low + high)
+            high, at_high = centre, response
+            at_low = 0.5 * at_low if side < 0 else at_low
+            side = -1
     step = 0.5 * node_px
     ahead = filter_response(row, centre + step, weight, integral, nodes, node_px)
     behind = filter_response(row, centre - step, weight, integral, nodes, node_px)

@@ -31,10 +31,11 @@ _SETTLED = 0.02
 _MOST_ROUNDS = 8
 # So many lines or up to twice as many tell the width.
 _WIDTH_LINES = 16_000
-# A line below this sigma is smoothed to it: a Gaussian keeps 0.1 % of its contrast at the pixels'
-# Nyquist frequency then. What is sharper is undersampled, and flanks as steep hang on where in its
-# pixel the line is.
-_SAMPLED_SIGMA_PX = 1.2
+# A line below the first sigma is smoothed to it: a Gaussian keeps 2 % of its contrast at the
+# pixels' Nyquist frequency then. What is seen of steeper flanks hangs on the line's place in its
+# pixel. At the second (0.1 %) nothing does, but the noise is larger: it tells what the best filter
+# still draws.
+_SAMPLED_SIGMA_PX, _UNDRAWN_SIGMA_PX = 0.9, 1.2
 # The median line is drawn this far from its middle, in the sigma of the round before.
 _PROFILE_REACH_SIGMA = 8.0
 # Its light is gathered in bins that tell the places in a pixel apart.
@@ -43,7 +44,7 @@ _BINS_PER_PX = 4
 _MEDIAN_ROWS = 5
 # The line's course over this many rows either side tells where a row's line should be, and over
 # more where more share their speckle.
-_COURSE_ROWS, _COURSE_GRAINS = 10, 4
+_COURSE_ROWS, _COURSE_GRAINS, _MOST_COURSE_ROWS = 10, 4, 20
 # Each of the filter's unknowns wants this many rows before its noise can be told.
 _ROWS_PER_NODE = 25
 # Shrinks the filter towards one that trusts all nodes alike, against a spare sample of rows.
@@ -51,8 +52,9 @@ _RIDGE = 0.1
 # Rows whose squared distance is beyond this many medians stand on an edge or a reflection.
 _TRIM_AT = 2.5
 _TRIMMING_ROUNDS = 3
-# Differences of two filters beyond this many medians count as much as these: Huber's limit.
-_OUTLYING = 2.0
+# Huber's limit of differences of two filters, in their medians; less than a thousandth of a pixel
+# apart they are the same.
+_OUTLYING, _TINY_PX = 2.0, 1e-3
 # What a filter draws a line to places in its pixel by before anything is known, standard deviation.
 _LOCKING_PX = 0.02
 
@@ -64,7 +66,8 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
     for w proportional to C^-1 d, where d is the derivative of the mean response to a shift of
     the line and C the covariance of the responses about it (Gauss-Markov); both come from rows
     whose course is known from the rows around them. Where too few rows are clean, the filter
-    is the derivative of a Gaussian of twice the line's sigma.
+    is the derivative of a Gaussian of twice the line's sigma. A line too narrow for the pixels is
+    smoothed first, and what the filter still draws it to the pixels by is told (`_unlocked`).
 
     Parameters
     ----------
@@ -87,9 +90,10 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
         sigma, width_spread, skew_spread = _measure_shape(few, model)
         if abs(math.log(sigma / before)) < _SETTLED:
             break
-    model = _sampled_model(_gaussian_model(sigma, 0.0, width_spread, skew_spread, noise))
-    best = _best_model(frames, model)
-    return _measure_std(frames, _unlocked(frames, best, model) if model.blur_px else best)
+    model = _gaussian_model(sigma, 0.0, width_spread, skew_spread, noise)
+    best = _measure_std(frames, _best_model(frames, _smoothed_model(model, _SAMPLED_SIGMA_PX)))
+    undrawn = _smoothed_model(model, _UNDRAWN_SIGMA_PX)
+    return _unlocked(frames, best, undrawn) if undrawn.blur_px else best
 
 
 def _gaussian_model(
@@ -199,9 +203,9 @@ def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: flo
     return float(np.mean(profile > 0.5 * top) * (at[-1] - at[0])) / FWHM
 
 
-def _sampled_model(model: LineModel) -> LineModel:
-    """The model of a narrow line smoothed until what it finds is not drawn to the pixels."""
-    blur = math.sqrt(max(0.0, _SAMPLED_SIGMA_PX**2 - model.sigma_px**2))
+def _smoothed_model(model: LineModel, sigma_px: float) -> LineModel:
+    """The model of a line that is smoothed across to this sigma, if it is narrower."""
+    blur = math.sqrt(max(0.0, sigma_px**2 - model.sigma_px**2))
     if blur == 0:
         return model
     spreads = model.width_spread, model.skew_spread
@@ -227,33 +231,35 @@ def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineMode
 
 
 def _unlocked(
-    frames: Sequence[tuple[np.ndarray, np.ndarray]], best: LineModel, model: LineModel
+    frames: Sequence[tuple[np.ndarray, np.ndarray]], best: LineModel, undrawn: LineModel
 ) -> LineModel:
     """The best model with what it draws lines to places in their pixels by.
 
-    From what it finds beside what the Gaussian's derivative of `model` finds, which is noisier but
-    hardly drawn, by the place of the line's course: a row's own place is where its noise took it.
+    From what it finds beside what the `undrawn` model of the smoother line finds, by the place of
+    the line's course: a row's own place is where its noise took it.
     """
     places, apart = [], []
     for intensity, saturated in frames:
-        one, other = (detect_section(intensity, saturated, m) for m in (best, model))
+        one, other = (detect_section(intensity, saturated, m) for m in (best, undrawn))
         clean = (one.flags == 0) & (other.flags == 0)
-        course = line_course(np.where(clean, other.u[:, 0], np.nan), model)
+        course = line_course(np.where(clean, other.u[:, 0], np.nan).astype(float), undrawn)
         rows = np.isfinite(course)
         places.append(course[rows])
-        apart.append((one.u - other.u)[rows, 0])
-    drawn = np.concatenate(apart).astype(float)
+        apart.append((one.u - other.u)[rows, 0].astype(float))
+    drawn = np.concatenate(apart)
     design = np.column_stack([place_waves(np.concatenate(places)), np.ones(len(drawn))])
     if len(drawn) < _ROWS_PER_NODE * design.shape[1]:
         return best
-    limit = _OUTLYING * float(np.median(np.abs(drawn)))
-    drawn = np.clip(drawn, -limit, limit)
-    fit = np.linalg.lstsq(design, drawn)[0]
     # Rows that share grains count as one.
-    variance = float(np.var(drawn - design @ fit)) * apart_rows(model)
-    prior = np.diag([*np.full(design.shape[1] - 1, variance / _LOCKING_PX**2), 0])
-    amplitudes = np.linalg.solve(design.T @ design + prior, design.T @ drawn)
-    return replace(best, locking_px=amplitudes[:-1])
+    variance = (1.4826 * float(np.median(np.abs(drawn)))) ** 2 * apart_rows(best)
+    prior = max(variance, _TINY_PX**2) / _LOCKING_PX**2 * np.diag([1, 1, 1, 1, 0])
+    limit = max(_OUTLYING * float(np.median(np.abs(drawn))), _TINY_PX)
+    fit = np.zeros(design.shape[1])
+    for _ in range(_TRIMMING_ROUNDS):
+        weight = np.minimum(1, limit / np.maximum(np.abs(drawn - design @ fit), _TINY_PX))
+        weighted = design.T * weight
+        fit = np.linalg.solve(weighted @ design + prior, weighted @ drawn)
+    return replace(best, locking_px=fit[:-1])
 
 
 def _solve(responses: np.ndarray, slopes: np.ndarray, model: LineModel) -> LineModel:
@@ -326,10 +332,11 @@ def line_course(u: np.ndarray, model: LineModel) -> np.ndarray:
     Returns
     -------
     (lines,) float64
-        NaN where half of the neighbours are missing or one strays from the fit, as at steps.
+        NaN where half of the neighbours on either side are missing or one strays from the fit, as
+        at steps.
     """
     skip = apart_rows(model)
-    side = max(_COURSE_ROWS, _COURSE_GRAINS * skip)
+    side = min(max(_COURSE_ROWS, _COURSE_GRAINS * skip), _MOST_COURSE_ROWS)
     reach = skip + side
     offsets = np.concatenate([np.arange(-reach, -skip), np.arange(skip + 1, reach + 1)])
     course = np.full(len(u), np.nan)
@@ -346,7 +353,9 @@ def line_course(u: np.ndarray, model: LineModel) -> np.ndarray:
     fit = np.linalg.solve(normal, (filled @ powers[:, :3])[..., None])[..., 0]
     residual = known * (filled - fit @ powers[:, :3].T)
     stray = np.maximum(np.abs(residual).max(axis=1), np.abs(u[reach:-reach] - fit[:, 0]))
-    good = (moments[:, 0] >= side) & (stray < max(model.sigma_px, 1.0))
+    # Told by one side alone, a parabola may go anywhere.
+    fewest = np.minimum(known[:, :side].sum(axis=1), known[:, side:].sum(axis=1))
+    good = (2 * fewest >= side) & (stray < max(model.sigma_px, 1.0))
     course[reach:-reach] = np.where(good, fit[:, 0], np.nan)
     return course
 
