@@ -246,7 +246,7 @@ def test_the_filter_of_a_narrow_line_is_not_taught_the_pixels(stripes, rng):
 
 
 def test_what_draws_a_narrow_line_to_the_pixels_is_taken_back(stripes):
-    """The filter weighs flanks that an 8 bit camera rounds: the first harmonic of the error."""
+    """The filter weighs flanks that are rounded to a few levels: first harmonic of the error."""
     drawn = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -254,8 +254,8 @@ def test_what_draws_a_narrow_line_to_the_pixels_is_taken_back(stripes):
         truth = np.stack([start + 1.5 * np.sin(np.linspace(0, 3, ROWS)) for start in starts])
         frames = []
         for u in truth:
-            light, saturated = stripes(u, sigma=1.1, peak=0.35, noise=3e-4, rng=rng)
-            rounded = np.round(255 * np.clip(light, 0, 1)) / 255
+            light, saturated = stripes(u, sigma=0.68, peak=0.35, noise=3e-4, rng=rng)
+            rounded = np.round(63 * np.clip(light, 0, 1)) / 63
             frames.append((rounded.astype(np.float32), saturated))
         model = learn_line_model(frames)
         for used in (model, replace(model, locking_px=np.zeros(4))):
@@ -264,8 +264,8 @@ def test_what_draws_a_narrow_line_to_the_pixels_is_taken_back(stripes):
             known = np.isfinite(error)
             waves = np.exp(2j * np.pi * truth[known])
             drawn.append(2 * np.abs(np.mean(error[known] * waves)))
-    assert np.mean(drawn[::2]) < 0.008
-    assert np.mean(drawn[::2]) < 0.8 * np.mean(drawn[1::2])
+    assert np.mean(drawn[::2]) < 0.0035
+    assert np.mean(drawn[::2]) < 0.7 * np.mean(drawn[1::2])
 
 
 def test_a_line_at_one_place_in_its_pixel_tells_nothing_of_the_others(stripes, rng):
@@ -273,7 +273,7 @@ def test_a_line_at_one_place_in_its_pixel_tells_nothing_of_the_others(stripes, r
     model = learn_line_model(still)
     u = 40 + np.linspace(0, 5, ROWS)
     error = detect_section(*stripes(u, sigma=1.0, speckle=0, noise=0, rng=rng), model).u[:, 0] - u
-    assert np.abs(error).max() < 0.03
+    assert np.abs(error).max() < 0.05
 
 
 def test_the_course_is_told_by_both_sides(stripes, rng):

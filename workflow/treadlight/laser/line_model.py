@@ -31,11 +31,11 @@ _SETTLED = 0.02
 _MOST_ROUNDS = 8
 # So many lines or up to twice as many tell the width.
 _WIDTH_LINES = 16_000
-# A line below the first sigma is smoothed to it: a Gaussian keeps 2 % of its contrast at the
-# pixels' Nyquist frequency then. What is seen of steeper flanks hangs on the line's place in its
-# pixel. At the second (0.1 %) nothing does, but the noise is larger: it tells what the best filter
-# still draws.
-_SAMPLED_SIGMA_PX, _UNDRAWN_SIGMA_PX = 0.9, 1.2
+# Below the first sigma a Gaussian line keeps over 17 % of its contrast at the pixels' Nyquist
+# frequency: it is smoothed to the second. There (0.1 %) nothing hangs on the line's place in its
+# pixel any more, but the noise is larger: a line between the two is smoothed only to tell its
+# course, and what the best filter draws it to the pixels by.
+_UNDERSAMPLED_SIGMA_PX, _UNDRAWN_SIGMA_PX = 0.6, 1.2
 # The median line is drawn this far from its middle, in the sigma of the round before.
 _PROFILE_REACH_SIGMA = 8.0
 # Its light is gathered in bins that tell the places in a pixel apart.
@@ -66,8 +66,8 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
     for w proportional to C^-1 d, where d is the derivative of the mean response to a shift of
     the line and C the covariance of the responses about it (Gauss-Markov); both come from rows
     whose course is known from the rows around them. Where too few rows are clean, the filter
-    is the derivative of a Gaussian of twice the line's sigma. A line too narrow for the pixels is
-    smoothed first, and what the filter still draws it to the pixels by is told (`_unlocked`).
+    is the derivative of a Gaussian of twice the line's sigma. What the filter draws a narrow line
+    to the pixels by is told (`_unlocked`); one too narrow for them is smoothed instead.
 
     Parameters
     ----------
@@ -91,8 +91,10 @@ def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineMod
         if abs(math.log(sigma / before)) < _SETTLED:
             break
     model = _gaussian_model(sigma, 0.0, width_spread, skew_spread, noise)
-    best = _measure_std(frames, _best_model(frames, _smoothed_model(model, _SAMPLED_SIGMA_PX)))
-    undrawn = _smoothed_model(model, _UNDRAWN_SIGMA_PX)
+    undrawn = _undrawn_model(model)
+    if sigma < _UNDERSAMPLED_SIGMA_PX:
+        return _measure_std(frames, undrawn)
+    best = _measure_std(frames, _best_model(frames, model, undrawn))
     return _unlocked(frames, best, undrawn) if undrawn.blur_px else best
 
 
@@ -203,22 +205,26 @@ def _median_sigma(bins: np.ndarray, light: np.ndarray, reach: int, sigma_px: flo
     return float(np.mean(profile > 0.5 * top) * (at[-1] - at[0])) / FWHM
 
 
-def _smoothed_model(model: LineModel, sigma_px: float) -> LineModel:
-    """The model of a line that is smoothed across to this sigma, if it is narrower."""
-    blur = math.sqrt(max(0.0, sigma_px**2 - model.sigma_px**2))
+def _undrawn_model(model: LineModel) -> LineModel:
+    """The model of the line smoothed across until what it finds is not drawn to the pixels."""
+    blur = math.sqrt(max(0.0, _UNDRAWN_SIGMA_PX**2 - model.sigma_px**2))
     if blur == 0:
         return model
     spreads = model.width_spread, model.skew_spread
     return _gaussian_model(math.hypot(model.sigma_px, blur), blur, *spreads, model.noise)
 
 
-def _best_model(frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel) -> LineModel:
+def _best_model(
+    frames: Sequence[tuple[np.ndarray, np.ndarray]], model: LineModel, undrawn: LineModel
+) -> LineModel:
+    # Neighbouring rows lie at one place in their pixels: a course that is drawn aside with them
+    # would teach that.
     responses, shifted = [], []
     for intensity, saturated in frames:
-        found = detect_section(intensity, saturated, model)
+        found = detect_section(intensity, saturated, undrawn)
         clean = ~found.saturated[:, 0] & (found.flags == 0)
         u = np.where(clean, found.u[:, 0], np.nan).astype(float)
-        course = line_course(u, model)
+        course = line_course(u, undrawn)
         rows = np.flatnonzero(np.isfinite(course))
         smooth = smooth_frame(intensity, model)
         at, ahead, behind = _node_responses(
