@@ -137,8 +137,34 @@ def test_slopes_are_as_uncertain_as_their_paths_show_and_no_more(grid, over, rng
     r = RADIUS + rng.normal(0, LASER_STD, grid.shape)
     found = with_path_variance(
         [view(grid, slope) for slope in noise], sections(grid, r), np.zeros(grid.shape, bool),
-        SPACING, grid,
+        1.0, SPACING, grid,
     )  # fmt: skip
-    variance = {float(np.median(field.variance[0])) for field in found}
-    assert len(variance) == 1
-    assert np.sqrt(variance.pop()) == pytest.approx(said * np.sqrt(over), rel=0.15)
+    variance = [float(np.median(field.variance[0])) for field in found]
+    # One for all views, but for the slopes' own stretch.
+    assert variance == pytest.approx([variance[0]] * 4, rel=1e-3)
+    assert np.sqrt(variance[0]) == pytest.approx(said * np.sqrt(over), rel=0.15)
+
+
+def test_paths_tell_their_errors_from_those_of_a_laser_that_claims_too_large_ones(grid, rng):
+    """Twice its noise: by its word alone the slopes would have no errors at all."""
+    said, over = 0.02, 6
+    noise = rng.normal(0, said, (4, 2, *grid.shape))
+    noise = np.sqrt(over) * ndimage.uniform_filter1d(noise, over, axis=2)
+    fields, walls = [view(grid, slope) for slope in noise], np.zeros(grid.shape, bool)
+    r = RADIUS + rng.normal(0, LASER_STD, grid.shape)
+    laser = sections(grid, r, std=2 * LASER_STD)
+    found = with_path_variance(fields, laser, walls, 1.0, SPACING, grid)
+    variance = float(np.median(found[0].variance[0]))
+    assert np.sqrt(variance) == pytest.approx(said * np.sqrt(over), rel=0.25)
+
+
+def test_a_wall_is_as_much_less_certain_as_it_is_steeper(grid, rng):
+    """A normal that errs by an angle errs in the slope by (1 + p^2) times as much."""
+    noise = rng.normal(0, 0.1, (2, *grid.shape))
+    noise[0, :, :5] += 3.0
+    field = view(grid, noise)
+    laser = sections(grid, np.full(grid.shape, RADIUS), std=1e-4)
+    (found,) = with_path_variance([field], laser, np.zeros(grid.shape, bool), 1.0, SPACING, grid)
+    more = found.variance[0] - field.variance[0]
+    wall, level = (np.median(more[:, columns]) for columns in (slice(0, 5), slice(10, None)))
+    assert wall / level == pytest.approx((1 + 3.0**2) ** 3, rel=0.2)

@@ -35,6 +35,12 @@ _LEAST_GOOD = 0.5
 # Neighbours further apart than this many times what the laser's share have nothing in common.
 _REACH_SHARED = 4.0
 _Z_LAGS = (0.5, 1 / 6)
+# Pairs come in two usual lengths, and a few are longer, across a section that has no point because
+# there is a slot: of the longer usual ones.
+_LONG = 0.5
+# Of a mean of squares taken from their median, against that of the mean: variance.
+_MEDIAN_COST = 2.7
+_SURE_SIGMA = 2.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,20 @@ class Pairs:
     excess: np.ndarray
     length: np.ndarray
     noise: np.ndarray
+
+    def select(self, mask: np.ndarray) -> "Pairs":
+        """Some of the pairs, by a mask (k,) or their indices."""
+        middle = self.middle[0][mask], self.middle[1][mask]
+        rest = (x[mask] for x in (self.rise, self.excess, self.length, self.noise))
+        return Pairs(self.axis, self.start[mask], self.end[mask], middle, *rest)
+
+    def chained(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices of pairs and of those that go on where they end."""
+        order = np.argsort(self.start, kind="stable")
+        place = np.searchsorted(self.start[order], self.end)
+        beyond = order[np.minimum(place, len(order) - 1)]
+        first = np.flatnonzero(self.start[beyond] == self.end) if len(order) else order
+        return first, beyond[first]
 
 
 def laser_pairs(
@@ -158,6 +178,7 @@ def with_path_variance(
     fields: Sequence[ViewField],
     laser: LaserCells,
     steps: np.ndarray,
+    shared_rows: float,
     spacing: float,
     grid: CylinderGrid,
 ) -> list[ViewField]:
@@ -172,17 +193,32 @@ def with_path_variance(
     ----------
     fields, laser, steps, spacing, grid
         See `laser_pairs`.
+    shared_rows : float
+        How many neighbouring points of a section share their errors.
     """
+    if not fields:
+        return []
     sides = (grid.step_theta * grid.nominal_radius_mm, grid.step_z)
     pairs = [laser_pairs(field, laser, steps, spacing, grid) for field in fields]
     more = np.zeros(2, np.float32)
     for axis, side in enumerate(sides):
         own = [each[axis] for each in pairs]
-        if sum(len(p.excess) for p in own) >= _LEAST_PAIRS:
-            said = [f.variance[axis][p.middle] for f, p in zip(fields, own, strict=True)]
-            usual = float(np.nanmedian(np.concatenate(said)))
-            more[axis] = max(0.0, _path_variance(own, side) - usual)
-    return [replace(field, variance=field.variance + more[:, None, None]) for field in fields]
+        said = np.concatenate(
+            [f.variance[axis][p.middle] for f, p in zip(fields, own, strict=True)]
+        )
+        variance = _path_variance(own, shared_rows, side)
+        if variance is not None:
+            more[axis] = max(0.0, variance - float(np.nanmedian(said)))
+    return [replace(field, variance=field.variance + _of_slopes(more, field)) for field in fields]
+
+
+def _of_slopes(variance: np.ndarray, field: ViewField) -> np.ndarray:
+    """Variance (2, k, m) that errors of level slopes have on the field's own, tilted as far.
+
+    As in `gather.view_field`: a wall's height is much less certain than a tread's.
+    """
+    squared = np.square(field.slope)
+    return variance[:, None, None] * np.square(1 + squared) * (1 + squared.sum(axis=0))
 
 
 def shared_columns(
@@ -193,11 +229,11 @@ def shared_columns(
     spacing: float,
     grid: CylinderGrid,
 ) -> float:
-    """How many neighbouring paths of slopes share their errors, at least 1.
+    """How many neighbouring paths along theta share their errors, at least 1.
 
     Noise that the model of the light leaves, texture and what a pixel smooths lie in patches:
-    the sum of the covariances of what neighbouring paths along theta miss of the laser's rise,
-    less what the laser's own errors share, over the paths' own variance.
+    the sum of the covariances of what neighbouring paths miss of the laser's rise, less what the
+    laser's own errors share, over the variance that the slopes along a path claim.
 
     Parameters
     ----------
@@ -212,16 +248,49 @@ def shared_columns(
         pairs = laser_pairs(field, laser, steps, spacing, grid)[0]
         if len(pairs.excess) < _LEAST_PAIRS:
             continue
-        usual = np.abs(pairs.excess) < _TUKEY * np.sqrt(np.median(pairs.excess**2) / CHI2_MEDIAN)
-        rows, row = np.unique(laser.section[pairs.start], return_inverse=True)
-        miss = np.full((len(rows), grid.shape[1] + reach), np.nan)
-        miss[row[usual], pairs.middle[1][usual]] = pairs.excess[usual]
-        noise = float(np.median(pairs.noise))
-        lags = [np.nanmean(miss[:, : grid.shape[1]] ** 2)]
-        lags += [2 * np.nanmean(miss[:, :-d] * miss[:, d:]) for d in range(1, reach + 1)]
-        together += len(pairs.excess) * (np.sum(lags) - noise * shared_rows)
-        alone += len(pairs.excess) * (lags[0] - noise)
+        noise = _laser_variance([pairs], shared_rows)
+        covariance = _covariances(pairs, laser, reach, grid)
+        together += len(pairs.excess) * (
+            covariance[0] + 2 * covariance[1:].sum() - noise * shared_rows
+        )
+        alone += len(pairs.excess) * (covariance[0] - noise)
     return float(max(1.0, together / alone)) if alone > 0 else 1.0
+
+
+def _covariances(pairs: Pairs, laser: LaserCells, reach: int, grid: CylinderGrid) -> np.ndarray:
+    """Of what pairs along theta miss, with those up to `reach` columns on, (reach + 1,) mm2."""
+    usual = np.abs(pairs.excess) < _TUKEY * np.sqrt(_robust_square(pairs.excess))
+    rows, row = np.unique(laser.section[pairs.start], return_inverse=True)
+    m = grid.shape[1]
+    miss = np.full((len(rows), m + reach), np.nan)
+    miss[row[usual], pairs.middle[1][usual]] = pairs.excess[usual]
+    return np.array([np.nanmean(miss[:, :m] * miss[:, d : m + d]) for d in range(reach + 1)])
+
+
+def _two_gaps(pairs: Sequence[Pairs]) -> np.ndarray:
+    """What pairs in a row (of some views) miss together, mm."""
+    return np.concatenate([p.excess[a] + p.excess[b] for p in pairs for a, b in [p.chained()]])
+
+
+def _laser_variance(pairs: Sequence[Pairs], shared_rows: float) -> float:
+    """Variance of what pairs (of some views) miss by the laser's errors, mm2.
+
+    As the points claim, unless pairs in a row prove that it is less: over two gaps a path misses
+    the laser by its own errors twice, by the laser's, of the points at its ends, once.
+    """
+    claimed = float(np.median(np.concatenate([p.noise for p in pairs])))
+    two = _two_gaps(pairs)
+    if len(two) < _LEAST_PAIRS:
+        return claimed
+    one = _robust_square(np.concatenate([p.excess for p in pairs]))
+    shown = max(2 * one - _robust_square(two), 0.0)
+    scatter = 2 * one * np.sqrt(2 * _MEDIAN_COST * shared_rows / len(two))
+    return shown if shown + _SURE_SIGMA * scatter < claimed else claimed
+
+
+def _robust_square(values: np.ndarray) -> float:
+    """Mean square, robust against unknown steps."""
+    return float(np.median(values**2)) / CHI2_MEDIAN
 
 
 def _best_fit(
@@ -292,26 +361,31 @@ def _legendre(x: np.ndarray, degree: int) -> list[np.ndarray]:
     return values
 
 
-def _path_variance(pairs: Sequence[Pairs], side: float) -> float:
+def _path_variance(pairs: Sequence[Pairs], shared_rows: float, side: float) -> float | None:
     """Variance of a cell's slope under which the slopes' integrals miss the laser as they do.
 
-    The median is robust against unknown steps.
+    Over two gaps, where the laser's errors count half and no longer go together. None where too
+    few pairs tell.
 
     Parameters
     ----------
     pairs : sequence of Pairs
         Of all views, along one axis.
+    shared_rows : float
+        How many neighbouring points of a section share their errors.
     side : float
         Of the cells along it, mm.
     """
-    miss, noise, length = (
-        np.concatenate([getattr(p, name) for p in pairs]) for name in ("excess", "noise", "length")
-    )
-    # Pairs come in two usual lengths, and a few are longer, across a section that has no point
-    # because there is a slot: those few would tell of slots.
-    long = length > 0.5 * np.percentile(length, 75)
-    spread = np.median(miss[long] ** 2) / CHI2_MEDIAN - np.median(noise[long])
-    return float(spread / (np.median(length[long]) * side))
+    length = np.concatenate([p.length for p in pairs])
+    if len(length) < _LEAST_PAIRS:
+        return None
+    usual = [p.select(p.length > _LONG * np.percentile(length, 75)) for p in pairs]
+    two = _two_gaps(usual)
+    if len(two) < _LEAST_PAIRS:
+        return None
+    missed = _robust_square(two) - _laser_variance(usual, shared_rows)
+    gap = float(np.median(np.concatenate([p.length for p in usual])))
+    return missed / (2 * gap * side)
 
 
 class _Paths:

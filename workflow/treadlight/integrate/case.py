@@ -113,7 +113,7 @@ class Case:
         about = (self.walls, self.spacing, self.grid)
         fields = [remove_bias(f, laser, self.depth, *about) for f in self.fields]
         fields = confirm(fields, laser, self.outline, *about)
-        fields = with_path_variance(fields, laser, *about)
+        fields = with_path_variance(fields, laser, self.walls, self.shared_rows, *about[1:])
         fields = [_leaning(f, lean) for f, lean in zip(fields, self.leans, strict=True)]
         photometry = merge_views(fields, self.grid)
         problem = self.problem(photometry, laser)
