@@ -24,7 +24,7 @@ from treadlight.threads import by_ranges
 _REACH = 3.0
 # Cells along a side of the blocks whose highest and lowest values are kept.
 _NEAR, _FAR = ray_kernels.BLOCKS
-_LEAST_RAYS, _LEAST_TILES = 1 << 12, 1 << 4
+_LEAST_SQUARES, _LEAST_TILES = 1 << 8, 1 << 4
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,9 @@ def coarsen(patch: SurfacePatch, cell_mm: float) -> SurfacePatch:
     )
 
 
-def cast(patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def cast(
+    patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray, width: int | None = None
+) -> np.ndarray:
     """First points where rays from outside meet the surface.
 
     Parameters
@@ -189,6 +191,9 @@ def cast(patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray) -> np.
         The camera centre in {V}, mm.
     directions : (n, 3) float64
         In {V}, any length.
+    width : int, optional
+        The rays are those of an image's pixels, row by row, with so many in a row: what
+        neighbours cannot meet is then found out for them together, which changes no result.
 
     Returns
     -------
@@ -198,12 +203,14 @@ def cast(patch: SurfacePatch, origin: np.ndarray, directions: np.ndarray) -> np.
     """
     found = np.full((len(directions), 3), np.nan)
     if patch.r_max > 0.0:
+        width = max(len(directions) if width is None else width, 1)
+        down, across = ray_kernels.squares(width, len(directions))
         by_ranges(
-            ray_kernels.cast, len(directions), _LEAST_RAYS,
+            ray_kernels.cast, down * across, _LEAST_SQUARES,
             patch.r, patch.tops, patch.phi_0, patch.step_phi, patch.z_0, patch.step_z,
             patch.r_min, patch.r_max, patch.step_mm,
             np.ascontiguousarray(origin, np.float64),
-            np.ascontiguousarray(directions, np.float64), found,
+            np.ascontiguousarray(directions, np.float64), width, found,
         )  # fmt: skip
     return found
 

@@ -270,8 +270,9 @@ def _observe(
     origin = _in_view_frame(view.axis, np.zeros(3))
     leds = np.array([view.light.leds[k].position for k in view.leds])
     leds = _in_view_frame(view.axis, leds)
-    points = scene.cast(patch, origin, _pixel_directions(view, pixels))
-    lit = scene.lit(obstacles, points, leds, view.camera.size_px[0])
+    width = view.camera.size_px[0]
+    points = scene.cast(patch, origin, _pixel_directions(view, pixels), width)
+    lit = scene.lit(obstacles, points, leds, width)
     phi, z, r = points.T
     in_camera = view.axis.to_camera(phi - view.encoder, z, r, view.encoder)
     shape = lit.shape
