@@ -47,5 +47,5 @@ def crossings(x, y, dx, dy, radius):
     disc = b * b - a * (x * x + y * y - radius * radius)
     if not (a > 0.0 and disc >= 0.0):
         return np.nan, np.nan
-    root = math.sqrt(disc)
-    return (-b - root) / a, (-b + root) / a
+    root, inverse = math.sqrt(disc), 1.0 / a
+    return (-b - root) * inverse, (root - b) * inverse

@@ -22,6 +22,8 @@ _SQUARE, _CLOSE, _WIDEST = 4, 4.0, 32.0
 # lenses and grids bend over a square.
 _BEND = 1.0
 _MAX_STEPS = 4096
+# Fewer steps are not worth asking whether they can be left out.
+_FEW = 2.0
 # Heights over the surface are found to a nanometre: far less than its single precision.
 _TOLERANCE_MM, _MAX_REFINEMENTS = 1e-6, 24
 
@@ -75,10 +77,10 @@ def _clear_level(r, tops, field, origin, directions, width, row, column):
         return np.inf
     advance = _cells_per_step(place, field[4], span, steps)
     begin = _first_doubtful(tops, place, span, steps, advance, reach)
-    level, low = _level(place, span * begin / steps), field[4]
-    at = _first_below(r, tops, place, span, steps, advance, begin)
+    level, low = _level(place, begin * (span / steps)), field[4]
+    at, _, _ = _first_below(r, tops, place, span, steps, advance, begin)
     if at >= 0:
-        low = max(low, _level(place, span * at / steps))
+        low = max(low, _level(place, at * (span / steps)))
     return min(level, max(low, _highest(r, corners, level, low)))
 
 
@@ -102,10 +104,10 @@ def _reach(place, span, corners):
 def _first_doubtful(tops, place, span, steps, cells_per_step, reach):
     """Number of the first step from which rays so many cells beside might meet something."""
     near, far = (BLOCKS[0] - reach) / cells_per_step, (BLOCKS[1] - reach) / cells_per_step
-    fall = _fall(place, span, steps)
+    step, fall = span / steps, _fall(place, span, steps)
     i = 0
     while i < steps:
-        row, column, level = _at(place, span * i / steps)
+        row, column, level = _at(place, i * step)
         clear = min((level - top(tops[1], BLOCKS[1], row, column)) / fall, far)
         if not clear >= 1.0:
             clear = min((level - top(tops[0], BLOCKS[0], row, column)) / fall, near)
@@ -150,19 +152,16 @@ def _cast_one(r, tops, field, origin, ray, level, found):
         return
     advance = _cells_per_step(place, field[4], span, steps)
     begin = _last_above(place, span, steps, level)
-    at = _first_below(r, tops, place, span, steps, advance, begin)
-    if at < 0:
+    at, above, below = _first_below(r, tops, place, span, steps, advance, begin)
+    if at < 0 or (at > 0 and math.isnan(above)):
         return
-    low, high = span * max(at - 1, 0) / steps, span * at / steps
-    above = _gap(r, place, low)
-    if at > 0 and math.isnan(above):
-        return
-    t = high if at == 0 else _meet(r, place, low, above, high)
+    step = span / steps
+    t = 0.0 if at == 0 else _meet(r, place, (at - 1) * step, above, at * step, below)
     _, _, _, _, start, phi, z, radial, tangential, dz = place
     x, y = start + t * radial, t * tangential
-    found[0] = phi + math.atan2(y, x)
+    found[0] = phi + math.atan(y / x)
     found[1] = z + t * dz
-    found[2] = math.hypot(x, y)
+    found[2] = math.sqrt(x * x + y * y)
 
 
 @kernel
@@ -184,7 +183,11 @@ def _enter(field, origin, ray):
     ex, ey, z = x0 + enter * dx, y0 + enter * dy, zc + enter * dz
     c, s = ex / r_max, ey / r_max
     radial, tangential = c * dx + s * dy, c * dy - s * dx
-    place = (phi_0, step_phi, z_0, step_z, r_max, math.atan2(ey, ex), z, radial, tangential, dz)
+    phi, rows, columns = math.atan2(ey, ex), 1.0 / step_phi, 1.0 / step_z
+    place = (
+        (phi - phi_0) * rows, rows, (z - z_0) * columns, dz * columns, r_max, phi, z,
+        radial, tangential, dz,
+    )  # fmt: skip
     if not enter > 0.0:
         return place, 0.0, 1, False
     lateral = span * math.sqrt(tangential * tangential + dz * dz)
@@ -194,10 +197,9 @@ def _enter(field, origin, ray):
 @kernel(inline="always")
 def _at(place, t):
     """Row, column and radius of a ray's point."""
-    phi_0, step_phi, z_0, step_z, start, phi, z, radial, tangential, dz = place
+    row, rows, column, columns, start, _, _, radial, tangential, _ = place
     x, y = start + t * radial, t * tangential
-    row = (phi + atan(y / x) - phi_0) / step_phi
-    return row, (z + t * dz - z_0) / step_z, math.sqrt(x * x + y * y)
+    return row + rows * atan(y / x), column + columns * t, math.sqrt(x * x + y * y)
 
 
 @kernel(inline="always")
@@ -230,37 +232,45 @@ def _gap(r, place, t):
 @kernel
 def _cells_per_step(place, r_min, span, steps):
     """How many rows or columns a ray advances in a step, at most; infinite where nobody knows."""
-    _, step_phi, _, step_z, start, _, _, radial, tangential, dz = place
+    _, rows, _, columns, start, _, _, radial, tangential, _ = place
     x, y = start - span * abs(radial), span * abs(tangential)
     if not (x > y and r_min > 0.0):
         return np.inf
     turn = (abs(tangential) * start + abs(radial) * y) / (r_min * r_min)
     # The series of the arc tangent rises faster than itself, by this.
-    turn *= 1.0 + (y / x) ** 10
-    return max(turn / step_phi, abs(dz) / step_z) * span / steps
+    ratio2 = (y / x) ** 2
+    turn *= 1.0 + ratio2 * ratio2 * ratio2 * ratio2 * ratio2
+    return max(turn * rows, abs(columns)) * (span / steps)
 
 
 @kernel
 def _first_below(r, tops, place, span, steps, cells_per_step, begin):
-    """Number of the first step from one on that is at or below the surface, -1 if none is."""
+    """Number of the first step from one on that is at or below the surface, -1 if none is.
+
+    With the ray's heights over the surface a step before and there.
+    """
     near, far = BLOCKS[0] / cells_per_step, BLOCKS[1] / cells_per_step
-    fall = _fall(place, span, steps)
-    i = begin
+    step, fall = span / steps, _fall(place, span, steps)
+    i, last, before = begin, -1, np.nan
     while i <= steps:
-        row, column, level = _at(place, span * i / steps)
-        clear = min((level - top(tops[1], BLOCKS[1], row, column)) / fall, far)
-        if not clear >= 2.0:
-            clear = min((level - top(tops[0], BLOCKS[0], row, column)) / fall, near)
-        if clear >= 2.0:
-            i += int(min(clear, steps))
-            continue
+        row, column, level = _at(place, i * step)
         gap = level - sample(r, row, column)
         if gap <= 0.0:
-            return i
-        if math.isnan(gap) and _is_gone(r, place, row, column):
-            return -1
+            if last != i - 1:
+                before = _gap(r, place, (i - 1) * step)
+            return i, before, gap
+        last, before = i, gap
         i += 1
-    return -1
+        # What lies ahead is asked only where there is room to leave steps out.
+        if not gap < 2.0 * _FEW * fall:
+            if math.isnan(gap) and _is_gone(r, place, row, column):
+                break
+            clear = min((level - top(tops[1], BLOCKS[1], row, column)) / fall, far)
+            if not clear >= _FEW:
+                clear = min((level - top(tops[0], BLOCKS[0], row, column)) / fall, near)
+            if clear >= _FEW:
+                i += int(min(clear, steps)) - 1
+    return -1, np.nan, np.nan
 
 
 @kernel
@@ -272,9 +282,8 @@ def _is_gone(r, place, row, column):
 
 
 @kernel
-def _meet(r, place, low, above, high):
+def _meet(r, place, low, above, high, below):
     """The ray's parameter at the surface, between a point above and one below (Illinois)."""
-    below = _gap(r, place, high)
     t = high
     side = 0
     for _ in range(_MAX_REFINEMENTS):
