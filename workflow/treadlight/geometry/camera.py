@@ -27,6 +27,12 @@ class Camera:
     distortion: np.ndarray
     size_px: tuple[int, int]
 
+    @property
+    def intrinsics(self) -> tuple[float, float, float, float, float]:
+        """fx, skew, cx, fy, cy, pixels, for kernels."""
+        (fx, skew, cx), (_, fy, cy), _ = self.matrix.tolist()
+        return fx, skew, cx, fy, cy
+
     def rays(self, uv: np.ndarray) -> np.ndarray:
         """Viewing rays of pixels, lens distortion undone.
 

@@ -87,7 +87,6 @@ class Illumination:
 
         points = np.asarray(points, np.float64)
         position, plane = self.leds[index].position, self.reference_plane
-        matrix = self.camera.matrix
         lit = np.empty(points.size // 3)
         by_ranges(
             irradiance,
@@ -97,7 +96,7 @@ class Illumination:
             np.asarray(position, np.float64),
             np.asarray(plane.normal, np.float64),
             float(plane.distance(position)),
-            (matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2]),
+            self.camera.intrinsics,
             tuple(float(k) for k in self.camera.distortion),
             self.radiant_intensity[index],
             self.step_px,
