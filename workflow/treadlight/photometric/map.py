@@ -5,6 +5,10 @@ from treadlight.photometric.black_level import excess_black_level, give_back_bla
 from treadlight.photometric.material import Material, fit, learn_material
 from treadlight.photometric.observations import Estimate, Observations, estimate_of
 
+# Cost per degree of freedom that other starts are not asked to lower. A material is learned with
+# none, since that compares costs.
+_ENOUGH = 1.0
+
 
 def map_normals(observations: Observations, *, material: Material | None = None) -> Estimate:
     """The most probable normal, strengths and shininess of each pixel.
@@ -33,7 +37,7 @@ def map_normals(observations: Observations, *, material: Material | None = None)
     if material is None:
         observations = give_back_black_level(observations, excess_black_level(observations))
         material = learn_material(observations)
-    found = fit(observations, material)
+    found = fit(observations, material, _ENOUGH)
     return estimate_of(
         found[:, : map_report.RESIDUAL + 1],
         found[:, map_report.LEDS],

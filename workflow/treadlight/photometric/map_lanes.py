@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.lanes import exp2, fma
+from treadlight.photometric.lanes import exp2
 
 LANES = 64
 LEAST_NH = np.float32(0.02)
@@ -29,25 +29,6 @@ def rows(count: int) -> range:
 # where that is above three standard deviations of the dark, else 0.
 LX, LY, LZ, HX, HY, HZ, LIGHT, DARK, SHARP, BRIGHT = rows(10)
 LED = 10 * LANES
-
-
-@kernel(inline="always")
-def log2_and_inverse(x):
-    """log2 and 1 / x for 0.02 <= x <= 1: a square root, one division, the series of atanh.
-
-    The logarithm to 1e-5 from 0.1 on; to 5e-3 at 0.02, where a lobe has no light.
-    """
-    y = math.sqrt(x)
-    inverse = ONE / ((y + ONE) * x)
-    t = (y - ONE) * x * inverse
-    s = t * t
-    p = fma(np.float32(1 / 13), s, np.float32(1 / 11))
-    p = fma(p, s, np.float32(1 / 9))
-    p = fma(p, s, np.float32(1 / 7))
-    p = fma(p, s, np.float32(1 / 5))
-    p = fma(p, s, np.float32(1 / 3))
-    p = fma(p, s, ONE)
-    return np.float32(4.0) * LOG2E * t * p, (y + ONE) * inverse
 
 
 @kernel(inline="always")

@@ -9,7 +9,7 @@ About 130 operations per pixel and LED.
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.lanes import exp2, fma
+from treadlight.photometric.lanes import exp2, fma, log2, reciprocal
 from treadlight.photometric.map_lanes import (
     DARKEST,
     HX,
@@ -26,7 +26,6 @@ from treadlight.photometric.map_lanes import (
     ONE,
     SHARP,
     ZERO,
-    log2_and_inverse,
     rows,
 )
 
@@ -68,12 +67,12 @@ def tangents(state, t):
 
 @kernel(inline="always")
 def _look(led, state, k):
-    """n.l, whether it is lit, log2 (n.h) and 1 / n.h of one LED and lane."""
+    """n.l, whether it is lit, n.h and log2 (n.h) of one LED and lane."""
     x, y, z = state[X + k], state[Y + k], state[Z + k]
     nl = fma(led[LX + k], x, fma(led[LY + k], y, led[LZ + k] * z))
     nh = fma(led[HX + k], x, fma(led[HY + k], y, led[HZ + k] * z))
-    power, inverse_nh = log2_and_inverse(min(max(nh, LEAST_NH), ONE))
-    return nl, ONE if nl > 0 else ZERO, power, inverse_nh
+    nh = min(max(nh, LEAST_NH), ONE)
+    return nl, ONE if nl > 0 else ZERO, nh, log2(nh)
 
 
 @kernel
@@ -92,13 +91,13 @@ def shade(led, state, work, squarings):
 def _shade_blinn_phong(led, state, work):
     """k_s (n.h)^alpha (eq. 5.1)."""
     for k in range(LANES):
-        nl, lit, power, inverse_nh = _look(led, state, k)
+        nl, lit, nh, power = _look(led, state, k)
         alpha = state[ALPHA + k]
         gloss = state[K_S + k] * exp2(max(alpha * power, DARKEST)) * lit
         work[GLOSS + k] = gloss
         work[DIFFUSE + k] = work[K_D + k] * nl * lit
         work[_POWER + k] = power
-        work[_SLOPE + k] = alpha * gloss * inverse_nh
+        work[_SLOPE + k] = alpha * gloss * reciprocal(nh)
         work[_LIT + k] = work[K_D + k] * lit
 
 
@@ -107,13 +106,16 @@ def _shade_trowbridge_reitz(led, state, work, squarings):
     """k_s (1 - alpha ln(n.h) / gamma)^-gamma, gamma = 2^squarings: as sharp, with longer tails."""
     share = LN2 / np.float32(2.0**squarings)
     for k in range(LANES):
-        nl, lit, power, inverse_nh = _look(led, state, k)
+        nl, lit, nh, power = _look(led, state, k)
         alpha = state[ALPHA + k]
-        part = ONE / (ONE - share * alpha * power)
+        # One reciprocal for two.
+        tail = fma(-share * alpha, power, ONE)
+        inverse = reciprocal(nh * tail)
+        part = inverse * nh
         work[GLOSS + k] = part * lit
         work[DIFFUSE + k] = work[K_D + k] * nl * lit
         work[_POWER + k] = power * part
-        work[_SLOPE + k] = alpha * inverse_nh * part
+        work[_SLOPE + k] = alpha * inverse
         work[_LIT + k] = work[K_D + k] * lit
     for _ in range(squarings):
         for k in range(LANES):
@@ -129,7 +131,7 @@ def _weigh(led, work, eq):
     """Standardised residual, its robust weight, and the cost of one LED."""
     for k in range(LANES):
         r = (led[LIGHT + k] - work[GLOSS + k] - work[DIFFUSE + k]) * led[SHARP + k]
-        g = ONE / fma(r * r, _ROBUST, ONE)
+        g = reciprocal(fma(r * r, _ROBUST, ONE))
         work[_MISS + k] = r
         work[_WEIGHT + k] = g * g
         eq[COST + k] = fma(r * r, g, eq[COST + k])

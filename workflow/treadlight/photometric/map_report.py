@@ -86,7 +86,7 @@ def _unit_solution(eq, row, step):
 
 
 @kernel
-def report(found, state, eq, views, first, count, out):
+def report(found, state, eq, views, pixels, out):
     """Write a block's results; NaN, but for the count of LEDs, where there is no normal."""
     for k in range(LANES):
         found[NORMAL_X * LANES + k], found[NORMAL_Y * LANES + k] = state[X + k], state[Y + k]
@@ -99,11 +99,11 @@ def report(found, state, eq, views, first, count, out):
         found[FOUND_COST * LANES + k] = eq[COST + k]
         found[FOUND_LN_ALPHA * LANES + k] = state[LN_ALPHA + k]
         found[FOUND_LN_RATIO * LANES + k] = state[LN_RATIO + k]
-    for k in range(count):
-        facing = ZERO
+    for k in range(len(pixels)):
+        at, facing = pixels[k], ZERO
         for c in range(3):
-            facing += views[first + k, c] * found[c * LANES + k]
+            facing += views[at, c] * found[c * LANES + k]
         known = facing > 0 and found[LEDS * LANES + k] >= 4 and found[RESIDUAL * LANES + k] >= 0
         for c in range(RESULTS):
-            out[first + k, c] = found[c * LANES + k] if known else np.nan
-        out[first + k, LEDS] = found[LEDS * LANES + k]
+            out[at, c] = found[c * LANES + k] if known else np.nan
+        out[at, LEDS] = found[LEDS * LANES + k]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.lanes import exp2, fma
+from treadlight.photometric.lanes import exp2, fma, log2, reciprocal
 from treadlight.photometric.map_lanes import (
     DARKEST,
     LANES,
@@ -24,12 +24,10 @@ from treadlight.photometric.map_lanes import (
     SHARP,
     ZERO,
     either,
-    log2_and_inverse,
     rows,
 )
 
 DIRECTIONS = 128
-# `_pick` keeps apart from two before.
 STARTS = 3
 # Widest angle between a normal and the view: 75 degrees.
 WIDEST = math.radians(75.0)
@@ -51,8 +49,7 @@ def starts_desk(n_leds):
     """Room for `choose_starts` to work in, used anew for every block.
 
     The dictionary (places of the LEDs, normals, what they show), with LEDs a multiple of those
-    taken together; LEDs weighed; scores; starts found, after zeros as the one before the first;
-    best scores and their directions; lanes that wait and are served.
+    taken together; LEDs weighed; scores; the start found last; best scores and their directions; lanes that wait and are served.
     """
     padded = (n_leds + _TOGETHER - 1) // _TOGETHER * _TOGETHER
     return (
@@ -61,7 +58,7 @@ def starts_desk(n_leds):
         np.zeros((padded, DIRECTIONS), np.float32),
         np.zeros(padded * _WEIGHED, np.float32),
         np.empty(DIRECTIONS * _SCORE, np.float32),
-        np.zeros((STARTS + 1, START), np.float32),
+        np.zeros(START, np.float32),
         np.empty(2 * LANES, np.float32),
         np.empty(LANES, np.float32),
         np.empty(LANES, np.float32),
@@ -76,9 +73,9 @@ def _show(led, normals, alpha, ratio, squarings, shown):
     share = LN2 / np.float32(2.0**squarings)
     for j in range(DIRECTIONS):
         nh = min(max(hx * x[j] + hy * y[j] + hz * z[j], LEAST_NH), ONE)
-        power, _ = log2_and_inverse(nh)
+        power = log2(nh)
         blinn_phong = exp2(max(alpha * power, DARKEST))
-        shown[j] = blinn_phong if squarings < 0 else ONE / (ONE - share * alpha * power)
+        shown[j] = blinn_phong if squarings < 0 else reciprocal(ONE - share * alpha * power)
     for _ in range(squarings):
         for j in range(DIRECTIONS):
             shown[j] *= shown[j]
@@ -156,30 +153,55 @@ def _match(weighed, book, score):
                 at[k] = fma(led[6 * LANES + k], d, e)
                 at[LANES + k] = fma(led[7 * LANES + k], dd, f)
         for k in range(LANES):
-            strength = at[k] / (at[LANES + k] + np.float32(1e-20))
+            strength = at[k] * reciprocal(at[LANES + k] + np.float32(1e-20))
             at[k] *= strength
             at[LANES + k] = strength
 
 
 @kernel
-def _pick(score, normals, start, former, earlier, best):
-    """The best direction of each lane that is apart from the two chosen before."""
+def _pick(score, best):
+    """The best direction of each lane."""
+    best[:LANES] = -ONE
+    best[LANES:] = ZERO
+    for j in range(DIRECTIONS):
+        at, number = score[j * _SCORE : (j + 1) * _SCORE], np.float32(j)
+        for k in range(LANES):
+            better = at[k] > best[k]
+            best[k] = either(better, at[k], best[k])
+            best[LANES + k] = either(better, number, best[LANES + k])
+
+
+@kernel
+def _pick_next(score, normals, former, best):
+    """The best direction of each lane that is apart from the one chosen before.
+
+    What is not counts for nothing from now on.
+    """
     best[:LANES] = -ONE
     best[LANES:] = ZERO
     for j in range(DIRECTIONS):
         x, y, z = normals[0, j], normals[1, j], normals[2, j]
         at, number = score[j * _SCORE : (j + 1) * _SCORE], np.float32(j)
         for k in range(LANES):
-            one = former[START_X + k] * x + former[START_Y + k] * y + former[START_Z + k] * z
-            two = earlier[START_X + k] * x + earlier[START_Y + k] * y + earlier[START_Z + k] * z
-            better = (at[k] > best[k]) & (max(one, two) < _APART)
-            best[k] = either(better, at[k], best[k])
+            along = former[START_X + k] * x + former[START_Y + k] * y + former[START_Z + k] * z
+            worth = at[k] if along < _APART else -ONE
+            at[k] = worth
+            better = worth > best[k]
+            best[k] = either(better, worth, best[k])
             best[LANES + k] = either(better, number, best[LANES + k])
+
+
+@kernel
+def _take(score, normals, best, served, found, start):
+    """The start that was picked, into found; and into the starts of those lanes that are served."""
     for k in range(LANES):
         j = int(best[LANES + k])
-        start[START_X + k], start[START_Y + k] = normals[0, j], normals[1, j]
-        start[START_Z + k] = normals[2, j]
-        start[START_KS + k] = score[j * _SCORE + LANES + k]
+        found[START_X + k], found[START_Y + k] = normals[0, j], normals[1, j]
+        found[START_Z + k] = normals[2, j]
+        found[START_KS + k] = score[j * _SCORE + LANES + k]
+    for row in range(0, START, LANES):
+        for k in range(LANES):
+            start[row + k] = either(served[k] > 0, found[row + k], start[row + k])
 
 
 @kernel
@@ -195,32 +217,29 @@ def _middle(waiting):
 
 
 @kernel
-def choose_starts(leds, lights, views, first, count, base, material, starts, desk):
+def choose_starts(leds, seen, pixels, base, material, starts, desk):
     """Normals and strengths to start each lane from: (STARTS, START), a flat block of rows each.
 
-    `desk` is one of `starts_desk`.
+    The best one first. `seen` are the fields of `Observations`, `desk` is one of `starts_desk`.
     """
     place, normals, book, weighed, score, found, best, waiting, served = desk
     waiting[:] = ZERO
-    waiting[:count] = ONE
+    waiting[: len(pixels)] = ONE
     starts[:] = ZERO
     starts[:, START_Z : START_Z + LANES] = ONE
     _weigh(leds, weighed)
     lane = _middle(waiting)
     while lane >= 0:
-        _make_dictionary(
-            lights[:, first + lane], views[first + lane], base, material, place, normals, book
-        )
+        at = pixels[lane]
+        _make_dictionary(seen[1][:, at], seen[2][at], base, material, place, normals, book)
         _serve(leds, place, waiting, served)
         served[lane] = ONE
         _match(weighed, book, score)
-        for s in range(STARTS):
-            _pick(score, normals, found[s + 1], found[s], found[max(s - 1, 0)], best)
-        for s in range(STARTS):
-            for row in range(0, START, LANES):
-                for k in range(LANES):
-                    new, old = found[s + 1, row + k], starts[s, row + k]
-                    starts[s, row + k] = either(served[k] > 0, new, old)
+        _pick(score, best)
+        _take(score, normals, best, served, found, starts[0])
+        for s in range(1, STARTS):
+            _pick_next(score, normals, found, best)
+            _take(score, normals, best, served, found, starts[s])
         for k in range(LANES):
             waiting[k] -= served[k]
         lane = _middle(waiting)

@@ -12,15 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from treadlight.photometric import map_kernels, map_report, map_starts
-from treadlight.photometric.map_lanes import LANES
 from treadlight.photometric.observations import Observations
 from treadlight.threads import by_ranges
 
 _SEARCH_PX, _LOBE_PX, _SAMPLE_PX = 256, 1024, 4096
 # As many pixels of a strip stand as far apart as strips do: their LEDs stand most alike.
 _STRIP_PX = 32
-# Whole blocks of lanes, worth a thread.
-_LEAST_PX = 4 * LANES
 _SEARCH_ALPHA = 2.0 ** np.arange(1, 10)
 _SEARCH_RATIO = 10.0 ** np.arange(-2, 2.1, 0.5)
 # Between two trial materials of the search, in logarithms; then, before anything is known.
@@ -76,17 +73,22 @@ class Material:
         return np.array(values, np.float32)
 
 
-def fit(observations: Observations, material: Material) -> np.ndarray:
-    """The kernel's results, (n, map_report.RESULTS) float64."""
+def fit(observations: Observations, material: Material, enough: float = 0.0) -> np.ndarray:
+    """The kernel's results, (n, map_report.RESULTS) float64.
+
+    A pixel is fitted from its best start alone if that leaves a cost of at most `enough` per degree
+    of freedom.
+    """
     out = np.empty((observations.intensity.shape[1], map_report.RESULTS))
     by_ranges(
         map_kernels.fit_pixels,
         len(out),
-        _LEAST_PX,
+        map_kernels.SPAN,
         *observations.arrays(),
         _directions(),
         material.packed,
         np.float32(material.misfit**2),
+        np.float32(enough),
         out,
     )
     return out

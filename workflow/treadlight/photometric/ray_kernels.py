@@ -148,7 +148,7 @@ def _highest(r, corners, level, low):
 def _cast_one(r, tops, field, origin, ray, level, found):
     """First hit of a ray, which meets nothing above a radius."""
     place, span, steps, _ = _enter(field, origin, ray)
-    if not span > 0.0:
+    if span < 0.0:
         return
     advance = _cells_per_step(place, field[4], span, steps)
     begin = _last_above(place, span, steps, level)
@@ -168,8 +168,8 @@ def _cast_one(r, tops, field, origin, ray, level, found):
 def _enter(field, origin, ray):
     """A ray from the largest radius on.
 
-    Its place (see `_at`), the parameter at which it ends, zero if it never enters, its steps until
-    there, and whether it reaches the least radius.
+    Its place (see `_at`), the parameter at which it ends, negative if it never enters, its steps
+    until there, and whether it reaches the least radius.
     """
     phi_0, step_phi, z_0, step_z, r_min, r_max, cell = field
     x0, y0, zc = origin
@@ -189,7 +189,7 @@ def _enter(field, origin, ray):
         radial, tangential, dz,
     )  # fmt: skip
     if not enter > 0.0:
-        return place, 0.0, 1, False
+        return place, -1.0, 1, False
     lateral = span * math.sqrt(tangential * tangential + dz * dz)
     return place, span, min(_MAX_STEPS, 4 + int(2.0 * lateral / cell)), reaches
 
@@ -219,7 +219,7 @@ def _fall(place, span, steps):
 def _last_above(place, span, steps, level):
     """Number of the last step above a radius, 0 if there is none."""
     t, _ = crossings(place[4], 0.0, place[7], place[8], level)
-    return min(int(t * steps / span), steps) if t > 0.0 else 0
+    return int(min(t / span, 1.0) * steps) if t > 0.0 and span > 0.0 else 0
 
 
 @kernel(inline="always")

@@ -10,8 +10,8 @@ import numpy as np
 
 from treadlight.compiling import kernel
 from treadlight.photometric import lanes
-from treadlight.photometric.lanes import ALPHA_MAX, PIXELS, exp2
-from treadlight.photometric.map_lanes import DARKEST, LEAST_NH, ONE, ZERO, log2_and_inverse
+from treadlight.photometric.lanes import ALPHA_MAX, PIXELS, exp2, log2
+from treadlight.photometric.map_lanes import DARKEST, LEAST_NH, ONE, ZERO
 
 # Columns of the result.
 NX, NY, NZ, KD, KS, ALPHA, RESIDUAL, LEDS, MISFIT, CXX, RESULTS = *range(10), 15
@@ -130,7 +130,7 @@ def _rerender(leds, pixel, sums):
         for p in range(PIXELS):
             unit, nl, nh = pixel[_UNIT + p], led[_NL + p], led[_NH + p]
             light, dark = led[_LIGHT + p] * unit, led[_NOISE + p] * unit
-            log_nh, _ = log2_and_inverse(min(max(nh, LEAST_NH), ONE))
+            log_nh = log2(min(max(nh, LEAST_NH), ONE))
             # k_s (n.h)^alpha = (|N| n.h)^alpha (eqs. 5.9 and 5.11).
             exponent = pixel[_ALPHA + p] * (log_nh + pixel[_LOG_LENGTH + p])
             part = exp2(max(-abs(exponent), DARKEST))
