@@ -39,6 +39,25 @@ def atan(q):
     return q * (1.0 - p * (1 / 3 - p * (1 / 5 - p * (1 / 7 - p / 9))))
 
 
+@kernel(inline="always")
+def cos_sin(phi):
+    """Cosine and sine to 1e-13 for |phi| < 1: what one view sees of a tire turns by less."""
+    q = phi * phi
+    c = 1.0 - q * (1 / 182)
+    c = 1.0 - q * (1 / 132) * c
+    c = 1.0 - q * (1 / 90) * c
+    c = 1.0 - q * (1 / 56) * c
+    c = 1.0 - q * (1 / 30) * c
+    c = 1.0 - q * (1 / 12) * c
+    s = 1.0 - q * (1 / 210)
+    s = 1.0 - q * (1 / 156) * s
+    s = 1.0 - q * (1 / 110) * s
+    s = 1.0 - q * (1 / 72) * s
+    s = 1.0 - q * (1 / 42) * s
+    s = 1.0 - q * (1 / 20) * s
+    return 1.0 - q * (1 / 2) * c, phi * (1.0 - q * (1 / 6) * s)
+
+
 @kernel
 def crossings(x, y, dx, dy, radius):
     """Both ray parameters at which |(x, y) + t (dx, dy)| = radius; NaN if never."""

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.height_field import atan, crossings, sample, top
+from treadlight.photometric.height_field import atan, cos_sin, crossings, sample, top
 
 # Cells along a side of the blocks whose highest surface is known.
 BLOCK = 8
@@ -43,7 +43,7 @@ def lit(
     Of tiles first to last - 1, row by row; see `tiles`.
     """
     across = tiles(width, len(points))[1]
-    field = (r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell)
+    field = (r, r_std, phi_0, 1.0 / step_phi, z_0, 1.0 / step_z, r_max, cell)
     for tile in range(first, last):
         row, column = tile // across * _TILE_ROWS, tile % across * _TILE_COLUMNS
         _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, out)
@@ -116,7 +116,7 @@ def _is_lit(field, tops, crests, points, k, led, near, far):
         return False
     if near >= far:
         return True
-    c, s = math.cos(phi), math.sin(phi)
+    c, s = cos_sin(phi)
     radial, tangential = c * led[0] + s * led[1] - height, c * led[1] - s * led[0]
     return not _blocked(
         field, tops, crests, phi, z, height, radial, tangential, led[2] - z, near, far
@@ -129,7 +129,7 @@ def _bounds(field, points, width, row, column, rows, columns):
 
     Middle and half extent of phi and of z, least and most height, least variance.
     """
-    _, r_std, phi_0, step_phi, z_0, step_z, _, _ = field
+    _, r_std, phi_0, per_phi, z_0, per_z, _, _ = field
     phi_low = z_low = low = variance = np.inf
     phi_high = z_high = high = -np.inf
     for v in range(row, row + rows):
@@ -141,7 +141,7 @@ def _bounds(field, points, width, row, column, rows, columns):
             phi_low, phi_high = min(phi_low, phi), max(phi_high, phi)
             z_low, z_high = min(z_low, z), max(z_high, z)
             low, high = min(low, height), max(high, height)
-            variance = min(variance, _variance(r_std, (phi - phi_0) / step_phi, (z - z_0) / step_z))
+            variance = min(variance, _variance(r_std, (phi - phi_0) * per_phi, (z - z_0) * per_z))
     return (
         0.5 * (phi_low + phi_high), 0.5 * (phi_high - phi_low),
         0.5 * (z_low + z_high), 0.5 * (z_high - z_low), low, high, variance,
@@ -165,13 +165,13 @@ def _doubtful(field, obstacles, bounds, led):
     (1-t)^2 h^2 + 2 t (1-t) h g + t^2 L^2, where g is the LED's distance along the point's radius
     and L that from the axis, rises with t and h if g > h.
     """
-    _, _, phi_0, step_phi, z_0, step_z, r_max, cell = field
+    _, _, phi_0, per_phi, z_0, per_z, r_max, cell = field
     phi, half_phi, z, half_z, low, high, variance = bounds
-    c, s = math.cos(phi), math.sin(phi)
+    c, s = cos_sin(phi)
     along, across = c * led[0] + s * led[1], c * led[1] - s * led[0]
     facing = along * math.cos(half_phi) - abs(across) * math.sin(half_phi)
     # A little more, for what angles are rounded by.
-    rows, columns = half_phi / step_phi + 1.0, half_z / step_z + 0.1
+    rows, columns = half_phi * per_phi + 1.0, half_z * per_z + 0.1
     if not (facing > high and max(rows, columns) <= _WIDEST_CELLS):
         return 0.0, 1.0
     distance2 = led[0] * led[0] + led[1] * led[1]
@@ -192,8 +192,8 @@ def _doubtful(field, obstacles, bounds, led):
         z_t, z_end = z + t * (led[2] - z), z + end * (led[2] - z)
         hides = _may_hide(
             obstacles,
-            (phi + first - phi_0) / step_phi - rows, (phi + last - phi_0) / step_phi + rows,
-            (min(z_t, z_end) - z_0) / step_z - columns, (max(z_t, z_end) - z_0) / step_z + columns,
+            (phi + first - phi_0) * per_phi - rows, (phi + last - phi_0) * per_phi + rows,
+            (min(z_t, z_end) - z_0) * per_z - columns, (max(z_t, z_end) - z_0) * per_z + columns,
             math.sqrt(level2) + 0.5 * cell, variance,
         )  # fmt: skip
         if hides:
@@ -227,12 +227,13 @@ def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, 
     It is looked for between two shares of the way. `tops` are those of the blocks around each, so
     that a ray above one meets nothing within a block of cells.
     """
-    r, r_std, phi_0, step_phi, z_0, step_z, r_max, cell = field
+    r, r_std, phi_0, per_phi, z_0, per_z, r_max, cell = field
     _, leave = crossings(height, 0.0, radial, tangential, max(r_max, height))
     # Nothing is above the highest point.
     if not leave > 0.0:
         return False
-    var = _variance(r_std, (phi - phi_0) / step_phi, (z - z_0) / step_z)
+    first_row, first_column, columns = (phi - phi_0) * per_phi, (z - z_0) * per_z, dz * per_z
+    var = _variance(r_std, first_row, first_column)
     span = min(leave, 1.0)
     lateral = span * math.sqrt(tangential * tangential + dz * dz)
     steps = min(_MAX_STEPS, 1 + int(lateral / cell))
@@ -242,18 +243,19 @@ def _blocked(field, tops, crests, phi, z, height, radial, tangential, dz, near, 
     fall = max(-radial * span / steps, 0.0)
     # A row is narrower below, by no more than an eighth.
     leap = BLOCK - 2.0 if lateral <= steps * cell else 0.0
+    step = span / steps
     i = first - 1
     while i < last:
         i += 1
-        t = span * i / steps
+        t = i * step
         x, y = height + t * radial, t * tangential
-        column = (z + t * dz - z_0) / step_z
+        column = first_column + t * columns
         level = math.sqrt(x * x + y * y)
         # A rising ray that is above all that lies ahead meets nothing any more.
         nearest = min(max(int(column) + (dz <= 0), 0), len(ahead) - 1)
         if radial > 0.0 and level > ahead[nearest]:
             return False
-        row = (phi + atan(y / x) - phi_0) / step_phi
+        row = first_row + per_phi * atan(y / x)
         clear = level + 0.5 * cell - top(tops, BLOCK, row, column)
         if clear >= 0.0:
             i += int(min(leap, clear / fall)) if fall > 0.0 else int(leap)
