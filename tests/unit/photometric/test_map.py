@@ -141,6 +141,20 @@ def test_a_pixel_does_not_depend_on_its_neighbours(analytic, rng, dark):
     np.testing.assert_array_equal(map_normals(part, material=material).normal, together)
 
 
+def test_a_start_that_explains_a_pixel_is_enough(analytic, rng):
+    """Where no other start is tried, all of them would have led to the same normal."""
+    normals, lights = analytic.tilted(rng, 1500, 0.3), analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
+    intensity *= 1 + 0.02 * rng.standard_normal(intensity.shape)
+    # A few pixels that no start explains.
+    intensity[::3, ::50] *= 4.0
+    seen = analytic.observe(intensity, lights)
+    material = learn_material(seen)
+    one, many = (fit(seen, material, enough)[:, :3] for enough in (1.0, 0.0))
+    assert not np.array_equal(one, many)
+    assert np.mean(analytic.degrees_between(one, many) < 0.1) > 0.995
+
+
 def test_rerendering_is_what_the_residual_says(analytic, rng):
     normals, lights = analytic.tilted(rng, 100, 0.3), analytic.two_rings()
     intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)

@@ -119,6 +119,24 @@ def test_a_ray_finds_what_a_plain_walk_finds(seed, hole):
 
 
 @settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), hole=st.integers(0, 138), pitch=st.floats(0.02, 0.5))
+def test_rays_find_alone_what_they_find_among_their_neighbours(seed, hole, pitch):
+    """What the rays of a square start from together leaves out no hit: bit for bit."""
+    patch, rng = blocky(seed, hole)
+    width = int(rng.integers(3, 60))
+    v, u = np.mgrid[:41, :width]
+    middle = rng.uniform(-10, 10, 2)
+    phi, z = (middle[0] + v * pitch) / RADIUS, middle[1] + u * pitch
+    camera = np.array([300.0, *rng.uniform(-120, 120, 2)])
+    target = np.stack([95 * np.cos(phi), 95 * np.sin(phi), z], axis=-1).reshape(-1, 3)
+    rays = (target - camera)[: rng.integers(width, target.size // 3)]
+    together = cast(patch, camera, rays, width)
+    alone = np.concatenate([cast(patch, camera, ray[None]) for ray in rays])
+    np.testing.assert_array_equal(together, alone)
+    assert np.isfinite(together).any()
+
+
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), hole=st.integers(0, 138))
 def test_points_are_lit_alone_as_they_are_among_their_neighbours(seed, hole):
     """What is found out for a tile of pixels together holds of each: bit for bit."""

@@ -79,7 +79,7 @@ def _distort(intrinsics, distortion, u, v):
 
 @kernel
 def _find(rows, columns, step, u, v, place):
-    """The map's cell at each pixel, or the nearest at its border, and, in place, the place in it."""
+    """The map's cell at each pixel (beside it, the nearest), and where in the cell, in place."""
     scale, most_u, most_v = 1.0 / step, columns - 1.0, rows - 1.0
     for i in range(_RUN):
         x, y = u[i] * scale, v[i] * scale

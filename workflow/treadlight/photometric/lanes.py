@@ -52,8 +52,6 @@ DARKEST, DARK_NH, DARK_NL, DARK_LIGHT, LANES = range(24, 29)
 # Bits of sqrt(1/2), and how many the mantissa has, in single precision.
 _HALF_ROOT, _MANTISSA = np.int32(0x3F3504F3), np.int32(23)
 _A1, _A3, _A5, _A7 = (np.float32(2 / (k * LN2)) for k in (1, 3, 5, 7))
-# Twice the exponent of one, less what makes the reciprocal's first guess err least.
-_RECIPROCAL = np.int32(0x7EF127EA)
 _L0, _L1, _L2, _L3, _L4, _L5, _L6, _L7, _L8 = (
     np.float32(value)
     for value in (
@@ -95,19 +93,11 @@ as_float: Any = intrinsic(_as_float)
 
 
 @kernel(inline="always")
-def reciprocal(x):
-    """1 / x to 2e-7 for 1e-37 < x < 1e37: five multiplications, where a division takes as long as
-    fifteen.
-
-    The integer's difference is within 12 % (the exponent changes sign, the mantissa's is about
-    linear), and a step of third and one of second order follow.
-    """
-    return np.float32(1.0) / x
-
-
-@kernel(inline="always")
 def log2(x):
-    """log2 to 1e-7 in x: 2^e f with f about 1, and Cephes' polynomial for the logarithm of f."""
+    """log2 to 3e-7 for normal x: 2^e f with f about 1, and Cephes' polynomial for log f.
+
+    Without a root or a division, which take as long as eight products.
+    """
     # Numba's integers grow to 64 bits, of which half as many make a vector.
     exponent = np.int32(np.int32(as_int(x) - _HALF_ROOT) >> _MANTISSA)
     m = as_float(np.int32(as_int(x) - np.int32(exponent << _MANTISSA))) - np.float32(1.0)

@@ -172,7 +172,10 @@ def _make_room(n_leds, out):
 
 @kernel
 def _put_off(pixels, doubtful, state, eq, starts, count, waiting, put_off):
-    """Note the lanes in doubt after `count` others: pixel, state, its cost, starts not yet tried."""
+    """Keep the lanes in doubt, after `count` others: pixel, state, its cost, starts not yet tried.
+
+    `waiting` (SPAN,) are the pixels, `put_off` the rest in blocks of rows; how many wait then.
+    """
     for k in range(len(pixels)):
         if not doubtful[k] > 0:
             continue

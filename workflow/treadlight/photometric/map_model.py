@@ -9,7 +9,7 @@ About 130 operations per pixel and LED.
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.lanes import exp2, fma, log2, reciprocal
+from treadlight.photometric.lanes import exp2, fma, log2
 from treadlight.photometric.map_lanes import (
     DARKEST,
     HX,
@@ -97,7 +97,7 @@ def _shade_blinn_phong(led, state, work):
         work[GLOSS + k] = gloss
         work[DIFFUSE + k] = work[K_D + k] * nl * lit
         work[_POWER + k] = power
-        work[_SLOPE + k] = alpha * gloss * reciprocal(nh)
+        work[_SLOPE + k] = alpha * gloss * (ONE / nh)
         work[_LIT + k] = work[K_D + k] * lit
 
 
@@ -108,9 +108,9 @@ def _shade_trowbridge_reitz(led, state, work, squarings):
     for k in range(LANES):
         nl, lit, nh, power = _look(led, state, k)
         alpha = state[ALPHA + k]
-        # One reciprocal for two.
+        # One division for two.
         tail = fma(-share * alpha, power, ONE)
-        inverse = reciprocal(nh * tail)
+        inverse = ONE / (nh * tail)
         part = inverse * nh
         work[GLOSS + k] = part * lit
         work[DIFFUSE + k] = work[K_D + k] * nl * lit
@@ -131,7 +131,7 @@ def _weigh(led, work, eq):
     """Standardised residual, its robust weight, and the cost of one LED."""
     for k in range(LANES):
         r = (led[LIGHT + k] - work[GLOSS + k] - work[DIFFUSE + k]) * led[SHARP + k]
-        g = reciprocal(fma(r * r, _ROBUST, ONE))
+        g = ONE / fma(r * r, _ROBUST, ONE)
         work[_MISS + k] = r
         work[_WEIGHT + k] = g * g
         eq[COST + k] = fma(r * r, g, eq[COST + k])

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.lanes import exp2, fma, log2, reciprocal
+from treadlight.photometric.lanes import exp2, fma, log2
 from treadlight.photometric.map_lanes import (
     DARKEST,
     LANES,
@@ -49,7 +49,8 @@ def starts_desk(n_leds):
     """Room for `choose_starts` to work in, used anew for every block.
 
     The dictionary (places of the LEDs, normals, what they show), with LEDs a multiple of those
-    taken together; LEDs weighed; scores; the start found last; best scores and their directions; lanes that wait and are served.
+    taken together; LEDs weighed; scores; the start found last; best scores and their directions;
+    lanes that wait and are served.
     """
     padded = (n_leds + _TOGETHER - 1) // _TOGETHER * _TOGETHER
     return (
@@ -75,7 +76,7 @@ def _show(led, normals, alpha, ratio, squarings, shown):
         nh = min(max(hx * x[j] + hy * y[j] + hz * z[j], LEAST_NH), ONE)
         power = log2(nh)
         blinn_phong = exp2(max(alpha * power, DARKEST))
-        shown[j] = blinn_phong if squarings < 0 else reciprocal(ONE - share * alpha * power)
+        shown[j] = blinn_phong if squarings < 0 else ONE / (ONE - share * alpha * power)
     for _ in range(squarings):
         for j in range(DIRECTIONS):
             shown[j] *= shown[j]
@@ -153,7 +154,7 @@ def _match(weighed, book, score):
                 at[k] = fma(led[6 * LANES + k], d, e)
                 at[LANES + k] = fma(led[7 * LANES + k], dd, f)
         for k in range(LANES):
-            strength = at[k] * reciprocal(at[LANES + k] + np.float32(1e-20))
+            strength = at[k] / (at[LANES + k] + np.float32(1e-20))
             at[k] *= strength
             at[LANES + k] = strength
 
