@@ -60,12 +60,12 @@ def _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, 
         for k in range(len(bounds)):
             parts[part, k] = bounds[k]
     for m in range(len(leds)):
-        near, far = _doubtful(field, obstacles, whole, leds[m])
+        near, far = _doubtful(field, obstacles, crests, whole, leds[m])
         for part in range(_PARTS):
             v, u = row + part // _ACROSS * _PART_ROWS, column + part % _ACROSS * _PART_COLUMNS
             begin, end = near, far
             if near < far:
-                begin, end = _doubtful(field, obstacles, parts[part], leds[m])
+                begin, end = _doubtful(field, obstacles, crests, parts[part], leds[m])
             _lit_part(field, tops, crests, points, leds[m], width, v, u, begin, end, out[m])
 
 
@@ -155,7 +155,7 @@ def _variance(r_std, row, column):
 
 
 @kernel
-def _doubtful(field, obstacles, bounds, led):
+def _doubtful(field, obstacles, crests, bounds, led):
     """Between which shares of their way to an LED points within bounds could meet the surface.
 
     (0, 1) if nothing is known, (1, 0) if they meet nothing.
@@ -175,6 +175,10 @@ def _doubtful(field, obstacles, bounds, led):
     if not (facing > high and max(rows, columns) <= _WIDEST_CELLS):
         return 0.0, 1.0
     distance2 = led[0] * led[0] + led[1] * led[1]
+    # Where all go one way along the axis, nothing is above what lies ahead.
+    upwards, one_way = led[2] > z, abs(led[2] - z) > half_z
+    ahead = crests[1] if upwards else crests[0]
+    back = -columns if upwards else columns + 1.0
     # About one block along the way at a time.
     share = BLOCK * cell / max(math.sqrt(across * across + (led[2] - z) ** 2), cell)
     near, far = 1.0, 0.0
@@ -182,14 +186,17 @@ def _doubtful(field, obstacles, bounds, led):
     while t < 1.0:
         left = 1.0 - t
         level2 = left * left * low * low + 2.0 * t * left * low * facing + t * t * distance2
-        if level2 > r_max * r_max:
+        z_t = z + t * (led[2] - z)
+        nearest = min(max(int((z_t - z_0) * per_z + back), 0), len(ahead) - 1)
+        highest = max(ahead[nearest], 0.0) if one_way else r_max
+        if level2 > highest * highest:
             break
         end = min(t + share, 1.0)
         # Lower points turn further about the axis.
         turn = atan(t * across / (left * high + t * along))
         turn_end = atan(end * across / ((1.0 - end) * low + end * along))
         first, last = min(turn, turn_end), max(turn, turn_end)
-        z_t, z_end = z + t * (led[2] - z), z + end * (led[2] - z)
+        z_end = z + end * (led[2] - z)
         hides = _may_hide(
             obstacles,
             (phi + first - phi_0) * per_phi - rows, (phi + last - phi_0) * per_phi + rows,
