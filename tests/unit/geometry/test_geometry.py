@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from treadlight.geometry import Axis, Camera, CylinderGrid, Plane, camera_kernel
+from treadlight.geometry import Axis, Camera, CylinderGrid, Plane
 from treadlight.geometry.axis import wrap_angle
 
 CAMERA = Camera(
@@ -39,19 +39,6 @@ def test_pixel_rays_are_those_of_pixel_centres():
     rays = CAMERA.pixel_rays()
     assert rays.shape == (90, 120, 3)
     assert np.allclose(rays[7, 30], CAMERA.rays(np.array([[30.0, 7.0]]))[0])
-
-
-def test_compiled_rays_appear_at_their_pixels():
-    """Of any pixels, in any basis; the lens is undone to far below a thousandth of a pixel."""
-    pixels = np.arange(5, 90 * 120, 7)
-    axis = Axis.through(np.array([0.2, 0.9, 0.1]), np.array([30.0, 0, 1000.0]))
-    found = np.empty((len(pixels), 3))
-    camera_kernel.directions(
-        0, len(pixels), pixels, 120, CAMERA.intrinsics, tuple(map(float, CAMERA.distortion)),
-        axis.basis, found,
-    )  # fmt: skip
-    seen = CAMERA.project(found @ axis.basis)
-    assert np.allclose(seen, np.stack(divmod(pixels, 120)[::-1], axis=1), atol=1e-7)
 
 
 def test_plane_is_met_in_front_of_the_camera_only():

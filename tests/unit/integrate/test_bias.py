@@ -5,10 +5,11 @@ import pytest
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate.bias import lean_of_ribs, shared_columns, with_path_variance
+from treadlight.integrate.bias import lean_of_ribs
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
 from treadlight.integrate.multigrid import System
+from treadlight.integrate.path_errors import shared_columns, with_path_variance
 from treadlight.integrate.solve import perturbation, shared_noise
 
 STEP = 0.3
@@ -79,6 +80,17 @@ def test_neighbouring_paths_share_errors_as_far_as_these_reach(grid, shared, rng
     walls = np.zeros(grid.shape, bool)
     found = shared_columns(fields, laser, walls, 3.0, SPACING, grid)
     assert found == pytest.approx(shared, rel=0.3)
+
+
+def test_a_laser_that_claims_too_much_hides_no_shared_errors(grid, rng):
+    """Its claim, eight times its noise, is more than all that paths miss."""
+    noise = np.zeros((2, *grid.shape))
+    noise[0] = 0.05 * shared_noise(grid.shape, 1, 4.0, rng)
+    # Less than what paths miss, so that their number tells the two apart.
+    r = RADIUS + rng.normal(0, LASER_STD / 4, grid.shape)
+    laser, walls = sections(grid, r, std=2 * LASER_STD), np.zeros(grid.shape, bool)
+    found = shared_columns([view(grid, noise)], laser, walls, 1.0, SPACING, grid)
+    assert found == pytest.approx(4.0, rel=0.3)
 
 
 def test_what_the_laser_shares_is_not_the_slopes(grid, rng):
@@ -159,7 +171,7 @@ def test_paths_tell_their_errors_from_those_of_a_laser_that_claims_too_large_one
 
 
 def test_a_wall_is_as_much_less_certain_as_it_is_steeper(grid, rng):
-    """A normal that errs by an angle errs in the slope by (1 + p^2) times as much."""
+    """Its variance by (1 + p^2)^2 (1 + p^2 + q^2): what a normal's error makes of the slope."""
     noise = rng.normal(0, 0.1, (2, *grid.shape))
     noise[0, :, :5] += 3.0
     field = view(grid, noise)

@@ -13,9 +13,9 @@ from treadlight.laser.detection import (
     LineModel,
     calm_rows,
     estimate_noise,
-    find_peaks,
 )
 from treadlight.laser.line_model import line_course
+from treadlight.laser.peak_kernels import find_peaks
 
 ROWS = 600
 

@@ -9,17 +9,13 @@ from scipy import ndimage
 from treadlight import tread
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import prior
-from treadlight.integrate.bias import (
-    lean_of_ribs,
-    remove_bias,
-    shared_columns,
-    with_path_variance,
-)
+from treadlight.integrate.bias import lean_of_ribs, remove_bias
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
 from treadlight.integrate.edges import Photometry, build_edges, curl_scale, merge_views
 from treadlight.integrate.gather import View, ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, laser_cells
+from treadlight.integrate.path_errors import shared_columns, with_path_variance
 from treadlight.integrate.sight import bridged_surface, seen_on
 from treadlight.integrate.slots import ClosedTread, close_cuts
 from treadlight.integrate.solve import Problem, Solution, integrate

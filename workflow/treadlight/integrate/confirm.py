@@ -13,9 +13,9 @@ import numpy as np
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate.bias import laser_pairs
 from treadlight.integrate.gather import ViewField
 from treadlight.integrate.laser import LaserCells
+from treadlight.integrate.pairs import laser_pairs
 
 # Slow is what a Gaussian of so many sections' distances leaves: finer relief, texture and the
 # edges of blocks, the sections are too far apart to judge.

@@ -8,6 +8,7 @@ from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.gather import ViewField
 from treadlight.threads import by_ranges
+from treadlight.tread.robust import robust_square
 
 
 @dataclass(frozen=True)
@@ -160,12 +161,8 @@ def curl_scale(slope: np.ndarray, variance: np.ndarray, grid: CylinderGrid) -> f
     across = p[:-1, :-1] + p[1:, :-1] - p[:-1, 1:] - p[1:, 1:]
     along = q[1:, :-1] + q[1:, 1:] - q[:-1, :-1] - q[:-1, 1:]
     spread = [v[:-1, :-1] + v[1:, :-1] + v[:-1, 1:] + v[1:, 1:] for v in variance]
-    ratio = (x * across + z * along) ** 2 / (x * x * spread[0] + z * z * spread[1])
+    ratio = (x * across + z * along) / np.sqrt(x * x * spread[0] + z * z * spread[1])
     ratio = ratio[np.isfinite(ratio)]
     if not ratio.size:
         return 1.0
-    return float(np.sqrt(np.median(ratio) / CHI2_MEDIAN))
-
-
-# Median of the chi-squared distribution with one degree of freedom.
-CHI2_MEDIAN = 0.4549364
+    return float(np.sqrt(robust_square(ratio)))

@@ -133,12 +133,8 @@ def _channels(view: ViewNormals, inside: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         n_r, n_t, n_z = (view.normal[inside, k].astype(np.float64) for k in range(3))
         slope = np.stack([-n_t / n_r, -n_z / n_r])
-        steep = 1 + slope**2
-        stretch = slope[0] ** 2 + slope[1] ** 2 + 1
         tilt = view.covariance[inside][:, [0, 2]].T.astype(np.float64)
-        # n_r follows from |n| = 1: dp = (1 + p^2) sqrt(1 + p^2 + q^2) dn_theta, and so for q.
-        variance = steep**2 * stretch * tilt
-        weight = 1 / variance
+        weight = 1 / slope_variance(slope, tilt)
     usable = np.isfinite(slope).all(axis=0) & np.isfinite(weight).all(axis=0) & (n_r > 0)
     weight = np.where(usable, weight, 0.0)
     slope = np.where(usable, slope, 0.0)
@@ -155,6 +151,16 @@ def _channels(view: ViewNormals, inside: np.ndarray) -> np.ndarray:
         ]
     )
     return np.ascontiguousarray(channels.astype(np.float32).T)
+
+
+def slope_variance(slope: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Variances of both slopes (2, ...) from those of the normal's components n_theta and n_z.
+
+    n_r follows from |n| = 1: dp = (1 + p^2) sqrt(1 + p^2 + q^2) dn_theta, and so for q. A wall's
+    height is much less certain than a tread's.
+    """
+    squared = slope**2
+    return (1 + squared) ** 2 * (1 + squared[0] + squared[1]) * tilt
 
 
 def _field(total: np.ndarray, rows: np.ndarray, blend: np.ndarray) -> ViewField:

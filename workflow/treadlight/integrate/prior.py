@@ -7,8 +7,8 @@ from scipy import ndimage
 
 from treadlight import tread
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate.edges import CHI2_MEDIAN
 from treadlight.integrate.laser import LaserCells
+from treadlight.tread.robust import MEDIAN_COST, robust_square
 
 # Half-width of the window in which a step of the first surface may really stand, cells.
 _STEP_WINDOW = 2
@@ -18,8 +18,6 @@ _STEP_SIGMA = 4.0
 # of a section no longer share their noise.
 _DRIFT_LAGS = (0.25, 0.5, 0.75, 1.0)
 _LEAST_PAIRS = 100
-# Of a mean of squares taken from their median, against that of the mean: variance.
-_MEDIAN_COST = 2.7
 
 
 def complete(surface: np.ndarray) -> np.ndarray:
@@ -135,14 +133,14 @@ def drift_rate(
     lags, variances, errors = [], [], []
     for lag in sorted({max(1, round(share * spacing)) for share in _DRIFT_LAGS}):
         same = (part[lag:] == part[:-lag]) & (part[lag:] != 0)
-        squares = (line[:, lag:] - line[:, :-lag])[:, same] ** 2
-        squares = squares[np.isfinite(squares)]
-        if len(squares) < _LEAST_PAIRS:
+        rise = (line[:, lag:] - line[:, :-lag])[:, same]
+        rise = rise[np.isfinite(rise)]
+        if len(rise) < _LEAST_PAIRS:
             continue
-        variance = float(np.median(squares)) / CHI2_MEDIAN
+        variance = robust_square(rise)
         lags.append(lag * grid.step_z)
         variances.append(variance)
-        errors.append(variance * np.sqrt(2 * _MEDIAN_COST * lag / len(squares)))
+        errors.append(variance * np.sqrt(2 * MEDIAN_COST * lag / len(rise)))
     if len(lags) < 2:
         return None
     away = np.array(lags) - np.mean(lags)

@@ -44,7 +44,7 @@ def sampled_std(
     problem : Problem
     solution : Solution
     shared : float
-        How many neighbouring edges share their noise; see `bias.shared_columns`.
+        How many neighbouring edges share their noise; see `path_errors.shared_columns`.
     grid : CylinderGrid
     """
     rng = np.random.default_rng(_SEED)

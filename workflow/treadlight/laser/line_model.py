@@ -10,17 +10,15 @@ from scipy.optimize import nnls
 from treadlight.compiling import kernel
 from treadlight.errors import NoLineError
 from treadlight.laser.detection import (
-    FWHM,
     LineModel,
     apart_rows,
     calm_rows,
     detect_section,
     estimate_noise,
-    filter_response,
     place_waves,
     smooth_frame,
-    with_integral,
 )
+from treadlight.laser.peak_kernels import FWHM, filter_response, with_integral
 
 # The filter reaches three sigmas: the light further out is haze and reflection.
 _REACH_SIGMA = 3.0

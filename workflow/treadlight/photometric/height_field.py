@@ -43,19 +43,15 @@ def atan(q):
 def cos_sin(phi):
     """Cosine and sine to 1e-13 for |phi| < 1: what one view sees of a tire turns by less."""
     q = phi * phi
-    c = 1.0 - q * (1 / 182)
-    c = 1.0 - q * (1 / 132) * c
-    c = 1.0 - q * (1 / 90) * c
-    c = 1.0 - q * (1 / 56) * c
-    c = 1.0 - q * (1 / 30) * c
-    c = 1.0 - q * (1 / 12) * c
-    s = 1.0 - q * (1 / 210)
-    s = 1.0 - q * (1 / 156) * s
-    s = 1.0 - q * (1 / 110) * s
-    s = 1.0 - q * (1 / 72) * s
-    s = 1.0 - q * (1 / 42) * s
-    s = 1.0 - q * (1 / 20) * s
-    return 1.0 - q * (1 / 2) * c, phi * (1.0 - q * (1 / 6) * s)
+    return _nested(q, 2, 12, 30, 56, 90, 132, 182), phi * _nested(q, 6, 20, 42, 72, 110, 156, 210)
+
+
+@kernel(inline="always")
+def _nested(q, a, b, c, d, e, f, g):
+    """1 - q/a (1 - q/b (1 - ...)), as the series of cosine and sine nest."""
+    rest = 1.0 - q * (1.0 / f) * (1.0 - q * (1.0 / g))
+    rest = 1.0 - q * (1.0 / d) * (1.0 - q * (1.0 / e) * rest)
+    return 1.0 - q * (1.0 / a) * (1.0 - q * (1.0 / b) * (1.0 - q * (1.0 / c) * rest))
 
 
 @kernel

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from treadlight.geometry import Axis, Camera, CylinderGrid, Led, camera_kernel
+from treadlight.geometry import Axis, Camera, CylinderGrid, Led
 from treadlight.geometry.axis import wrap_angle
 from treadlight.photometric import scene, view_kernels
 from treadlight.photometric.closure import covariance_scale
@@ -196,13 +196,8 @@ def _in_view_frame(axis: Axis, points: np.ndarray) -> np.ndarray:
 
 def _pixel_directions(view: View, pixels: np.ndarray) -> np.ndarray:
     """Viewing rays (n, 3) of pixels (n,), counted row by row, in {V}."""
-    camera, found = view.camera, np.empty((len(pixels), 3))
-    by_ranges(
-        camera_kernel.directions, len(pixels), _LEAST_PX,
-        pixels, camera.size_px[0], camera.intrinsics, tuple(map(float, camera.distortion)),
-        view.axis.basis, found,
-    )  # fmt: skip
-    return found
+    v, u = np.divmod(pixels, view.camera.size_px[0])
+    return view.camera.rays(np.column_stack([u, v])) @ view.axis.basis.T
 
 
 def needed_rows(view: View, grid: CylinderGrid) -> np.ndarray:

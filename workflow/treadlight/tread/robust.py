@@ -2,6 +2,18 @@
 
 import numpy as np
 
+# Tukey's biweight keeps 95 % efficiency at this many standard deviations.
+TUKEY = 4.685
+# Of a mean of squares taken from their median, against that of the mean: variance.
+MEDIAN_COST = 2.7
+# Median of the chi-squared distribution with one degree of freedom.
+_CHI2_MEDIAN = 0.4549364
+
+
+def robust_square(values: np.ndarray) -> float:
+    """Mean square of Gaussian values (n,), from the median of their squares."""
+    return float(np.median(values**2)) / _CHI2_MEDIAN
+
 
 def solve_robust(
     basis: np.ndarray, values: np.ndarray, prior_std: np.ndarray, weights: np.ndarray | None = None
@@ -42,7 +54,7 @@ def solve_robust(
         if iteration < 8:
             robust = np.minimum(1.0, 1.345 * scale / np.maximum(np.abs(residual), 1e-12))
         else:
-            robust = np.clip(1.0 - (residual / (4.685 * scale)) ** 2, 0.0, None) ** 2
+            robust = np.clip(1.0 - (residual / (TUKEY * scale)) ** 2, 0.0, None) ** 2
             if np.allclose(coefficients, previous, rtol=0, atol=1e-6):
                 break
     return coefficients, scale
