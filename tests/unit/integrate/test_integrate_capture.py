@@ -9,13 +9,10 @@ from scipy import ndimage
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import (
     FirstSurface,
-    Joined,
     LaserSections,
     ViewNormals,
     integrate_capture,
     quality_flags,
-    section_spacing,
-    sectors_of,
 )
 from treadlight.integrate.quality import FLAGS
 
@@ -263,57 +260,3 @@ def test_what_a_rib_leans_after_the_first_solve_is_taken_from_its_slopes(capture
         found = integrate_capture(iter(views), sections, surface, grid, 0)
         leans.append(np.median(np.diff(found.r, axis=1)[:, top[1:] & top[:-1]]) / STEP)
     assert leans[1] - leans[0] > 0.002
-
-
-def integrated(grid, sections, surface, views, most_cells):
-    joined = Joined(grid.shape, np.empty)
-    count = 0
-    for sector in sectors_of(grid, section_spacing(sections.encoder, grid), most_cells):
-        first = FirstSurface(surface.r[sector.rows], surface.r_std[sector.rows])
-        part = integrate_capture(iter(views), sections, first, sector.grid, 10, core=sector.core)
-        joined.add(part, sector)
-        count += 1
-    return joined.profile(), count
-
-
-@pytest.fixture(scope="module")
-def turns():
-    rng = np.random.default_rng(3)
-    grid = CylinderGrid.whole_turn((-14.0, 14.0), 1.0, RADIUS)
-    n = grid.shape[0]
-    sections = make_sections(grid, rng, 120)
-    surface = first_surface(grid, sections)
-    starts = np.arange(8) * n // 8
-    views = [make_view(grid, rng, np.arange(s - 20, s + n // 8 + 20) % n) for s in starts]
-    cells = grid.shape[0] * grid.shape[1]
-    whole, one = integrated(grid, sections, surface, views, cells)
-    parts, many = integrated(grid, sections, surface, views, cells // 3)
-    assert (one, many) == (1, 4)
-    return grid, whole, parts
-
-
-def test_sectors_find_what_the_whole_turn_finds(turns):
-    grid, whole, parts = turns
-    assert np.array_equal(np.isfinite(whole.r), np.isfinite(parts.r))
-    away = (parts.r - whole.r) / whole.r_std
-    assert np.sqrt(np.mean(away**2)) < 0.3
-    truth = true_radius(*np.meshgrid(grid.theta, grid.z, indexing="ij"))
-    tops = np.abs(grid.z - 2) > 5
-    errors = [np.sqrt(np.mean((p.r - truth)[:, tops] ** 2)) for p in (whole, parts)]
-    assert errors[1] < 1.05 * errors[0]
-
-
-def test_no_step_shows_where_sectors_meet(turns):
-    grid, whole, parts = turns
-    tops = np.abs(grid.z - 2) > 5
-    steps = [np.abs(np.diff(p.r[:, tops], axis=0)).mean(axis=1) for p in (whole, parts)]
-    assert np.max(steps[1] - steps[0]) < 0.1 * LASER_STD
-
-
-def test_figures_of_sectors_count_every_point_once(turns):
-    _, whole, parts = turns
-    assert parts.laser_points == pytest.approx(whole.laser_points, rel=0.01)
-    assert parts.held_out.n == pytest.approx(whole.held_out.n, rel=0.05)
-    assert parts.held_out.rms == pytest.approx(whole.held_out.rms, rel=0.05)
-    np.testing.assert_allclose(parts.normal_residual, whole.normal_residual, rtol=0.05)
-    np.testing.assert_allclose(np.linalg.norm(parts.normal, axis=-1), 1, atol=1e-5)

@@ -73,7 +73,7 @@ def test_a_view_in_blocks_is_the_view(monkeypatch):
     view = view_at(theta, z, (0.1, 0.2))
     at_once = view_field([view], grid)
     monkeypatch.setattr("treadlight.integrate.gather._BLOCK_PX", 3 * theta.shape[1])
-    blocks = list(view.blocks())
+    blocks = list(view.blocks(grid))
     assert len(blocks) > 10
     in_blocks = view_field(blocks, grid)
     for name in ("rows", "slope", "variance", "material", "flags", "blend"):

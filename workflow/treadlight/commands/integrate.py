@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from treadlight.geometry import CylinderGrid, Rig
 
 
+# A pixel lies aside of where its view was placed, as far as it looks into a groove obliquely.
+_ASIDE_MM = 3.0
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, help="folder of the measurement capture")
     parser.add_argument("--calibration", type=Path, required=True, help="calibration.json")
@@ -89,35 +93,41 @@ def integrate_products(
     if not usable:
         warnings.append("There are no normals: the profile comes from the laser alone.")
     views = [stored_view(path, capture, rig) for path in usable]
+    width = integrate.width_of_cells(grid, settings.most_cells)
+    cells = integrate.solved_grid(grid, width)
+    found = integrate.solve_capture(
+        common.progress(views, f"{capture.id}: views gathered", len(views), 0),
+        integrate.thinned(sections, width),
+        _first_surface(surface, *integrate.sampled(grid, cells)),
+        cells,
+        settings.held_out_every,
+    )
     joined = integrate.Joined(grid.shape, memory.empty)
-    spacing = integrate.section_spacing(sections.encoder, grid)
-    sectors = list(integrate.sectors_of(grid, spacing, settings.sector_cells))
-    for k, sector in enumerate(sectors):
-        place = f", sector {k + 1} of {len(sectors)}" if len(sectors) > 1 else ""
-        first = _first_surface(surface, sector.rows)
-        if place and not np.isfinite(first.r).any():
-            common.say(f"{capture.id}{place}: nothing is known there")
-            continue
-        seen = [view for view in views if not place or view.sees(sector.grid)]
-        told = common.progress(seen, f"{capture.id}{place}: views gathered", len(seen), 0)
-        profile = integrate.integrate_capture(
-            told, sections, first, sector.grid, settings.held_out_every, core=sector.core
-        )
-        joined.add(profile, sector)
+    bands = list(integrate.bands_of(grid, width, settings.most_cells // 4))
+    for band in common.progress(bands, f"{capture.id}: bands laid"):
+        joined.add(integrate.profile_of(found, views, sections, band.grid, band.core), band)
         memory.release()
-    profile = joined.profile()
+    profile = joined.profile(found.proof)
     regions = tread.find_regions(profile.r, grid)
     closure = laser.attrs.get("closure_mm")
     report = integrate.quality_report(profile, regions, rig, closure, warnings)
     return _dataset(profile, surface, regions, grid, memory), report
 
 
-def _first_surface(surface: "xr.Dataset", rows: "np.ndarray") -> "integrate.FirstSurface":
-    from treadlight import store
-    from treadlight.integrate import FirstSurface
+def _first_surface(
+    surface: "xr.Dataset", rows: "np.ndarray", columns: "np.ndarray"
+) -> "integrate.FirstSurface":
+    import numpy as np
 
-    part = store.load_rows(surface[["r", "r_std"]], rows)
-    return FirstSurface(part["r"].to_numpy(), part["r_std"].to_numpy())
+    from treadlight.integrate import FirstSurface
+    from treadlight.store import CHUNK
+
+    parts = []
+    for first in range(0, surface.sizes["theta"], CHUNK):
+        own = rows[(rows >= first) & (rows < first + CHUNK)] - first
+        part = surface[["r", "r_std"]].isel(theta=slice(first, first + CHUNK)).load()
+        parts.append([part[name].to_numpy()[np.ix_(own, columns)] for name in ("r", "r_std")])
+    return FirstSurface(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
@@ -201,38 +211,51 @@ def stored_view(path: Path, capture: "Capture", rig: "Rig") -> "StoredView":
 
 
 class StoredView:
-    """A photometric.zarr/fovNN that is read some rows of the image at a time."""
+    """A photometric.zarr/fovNN that is read a part of the image at a time."""
 
     def __init__(self, view: "xr.Dataset", camera: "np.ndarray | None") -> None:
         self._view, self._camera = view, camera
 
-    def blocks(self) -> "Iterator[integrate.ViewNormals]":
-        from treadlight.store import CHUNK
-
-        for row in range(0, self._view.sizes["v"], CHUNK):
-            yield view_normals(self._view.isel(v=slice(row, row + CHUNK)).load(), self._camera)
-
-    @cached_property
-    def _reach(self) -> tuple[float, float]:
-        """Middle of the view and half of its width, rad."""
+    def blocks(self, grid: "CylinderGrid") -> "Iterator[integrate.ViewNormals]":
+        """Chunks of the image side by side, as far as they see the grid or something beside it."""
         import numpy as np
 
         from treadlight.geometry.axis import wrap_angle
+        from treadlight.store import CHUNK
 
-        theta = self._view["theta"].to_numpy().astype(float)
-        theta = theta[np.isfinite(theta)]
-        if not theta.size:
-            return 0.0, -np.inf
-        away = wrap_angle(theta - theta[0])
-        return float(theta[0] + (away.max() + away.min()) / 2), float(np.ptp(away) / 2)
-
-    def sees(self, grid: "CylinderGrid") -> bool:
-        """Whether a part of it lies on an open grid."""
-        from treadlight.geometry.axis import wrap_angle
-
-        middle, half = self._reach
+        middle, low, high = self._reach
         own = (grid.theta[0] + grid.theta[-1]) / 2
-        return bool(abs(wrap_angle(middle - own)) <= half + grid.theta[-1] - own)
+        half = (grid.theta[-1] - grid.theta[0]) / 2 + _ASIDE_MM / grid.nominal_radius_mm
+        away = wrap_angle(middle - own)
+        near = (away + high >= -half) & (away + low <= half) | (grid.periodic & np.isfinite(low))
+        for row, seen in enumerate(near):
+            columns = np.flatnonzero(seen)
+            if columns.size:
+                v = slice(row * CHUNK, (row + 1) * CHUNK)
+                u = slice(columns[0] * CHUNK, (columns[-1] + 1) * CHUNK)
+                yield view_normals(self._view.isel(v=v, u=u).load(), self._camera)
+
+    @cached_property
+    def _reach(self) -> "tuple[float, np.ndarray, np.ndarray]":
+        """An angle of the view; between which angles off it each chunk of the image sees, rad.
+
+        NaN where it sees nothing.
+        """
+        import numpy as np
+
+        from treadlight.geometry.axis import wrap_angle
+        from treadlight.store import CHUNK
+
+        theta = self._view["theta"].to_numpy()
+        seen = theta[np.isfinite(theta)]
+        middle = float(seen[0]) if seen.size else 0.0
+        away = wrap_angle(theta - middle)
+        spare = [(0, -size % CHUNK) for size in away.shape]
+        away = np.pad(away, spare, constant_values=np.nan)
+        rows, columns = (size // CHUNK for size in away.shape)
+        chunks = away.reshape(rows, CHUNK, columns, CHUNK)
+        low, high = (pick.reduce(pick.reduce(chunks, 3), 1) for pick in (np.fmin, np.fmax))
+        return middle, low, high
 
 
 def _dataset(

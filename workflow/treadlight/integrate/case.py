@@ -85,6 +85,8 @@ class Case:
         0 in grooves.
     leans : list of (m,) float64
         What the slopes along z of each field lack; see `lean_of_ribs`.
+    blends : list of (n,) float64
+        Of each view that was given; see `ViewField`. 0 in rows that it does not see.
     """
 
     grid: CylinderGrid
@@ -103,6 +105,7 @@ class Case:
     noise: float
     rib_of_column: np.ndarray
     leans: list[np.ndarray]
+    blends: list[np.ndarray]
 
     def solve(self, laser: LaserCells) -> "Solved":
         """Heights from these laser points and the views, whose smooth bias they tell."""
@@ -139,12 +142,13 @@ class Case:
             self.first_edges.std,
             self.grid,
         )
-        # Only the level of what all edges are cut around, and no laser point is in, needs the
-        # first surface: within the height of the tread.
+        # What all edges are cut around, and no laser point is in, has no other level than that of
+        # the outline, within the height of the tread; beyond the last section the first surface
+        # goes on as that one met a slot.
         low, high = np.percentile(start, [1, 99])
         level = 1 / max(high - low, 1.0) ** 2
         laser = replace(laser, std=laser.std * np.sqrt(self.shared_rows))
-        return Problem(edges, laser, start, np.where(np.isfinite(self.first.r), level, 0))
+        return Problem(edges, laser, self.outline, np.where(np.isfinite(self.first.r), level, 0))
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,9 @@ def prepare(
     usual_std = float(np.nanmedian(surface.r_std))
     spacing = prior.section_spacing(sections.encoder, grid)
     bridged = bridged_surface(start, usual_std, spacing, grid)
-    fields = _fields(views, bridged, grid)
+    seen = placed_fields(views, bridged, grid)
+    blends = [_blend_of(field, grid) for field in seen]
+    fields = [field for field in seen if field is not None]
     laser = laser_cells(
         sections.r,
         sections.theta,
@@ -192,8 +198,9 @@ def prepare(
         grid,
     )
     if instead is not None:
-        fields = _fields(instead, bridged, grid)
-    fields = [_outside(f, closed.reach) for f in fields]
+        seen = placed_fields(instead, bridged, grid)
+        fields = [field for field in seen if field is not None]
+    fields = [outside(f, closed.reach) for f in fields]
     # Two sections' errors are spread over the cells between them.
     bridge_std = usual_std * np.sqrt(2 / spacing)
     unsure = closed.bridged | (closed.reach & np.isfinite(surface.r))
@@ -223,17 +230,26 @@ def prepare(
         _noise_std(merge_views(fields, grid), grid),
         regions.rib_of_column,
         [np.zeros(grid.shape[1])] * len(fields),
+        blends,
     )
 
 
-def _fields(views: Iterable[View], bridged: np.ndarray, grid: CylinderGrid) -> list[ViewField]:
-    """The views that see the grid, on it."""
-    seen = (view_field(_placed(view, bridged, grid), grid) for view in views)
-    return [field for field in seen if field is not None]
+def placed_fields(
+    views: Iterable[View], surface: np.ndarray, grid: CylinderGrid
+) -> list[ViewField | None]:
+    """Views where they see a surface (n, m), mm; None for each that sees nothing of the grid."""
+    return [view_field(_placed(view, surface, grid), grid) for view in views]
 
 
 def _placed(view: View, surface: np.ndarray, grid: CylinderGrid) -> Iterator[ViewNormals]:
-    return (seen_on(block, surface, grid) for block in view.blocks())
+    return (seen_on(block, surface, grid) for block in view.blocks(grid))
+
+
+def _blend_of(field: ViewField | None, grid: CylinderGrid) -> np.ndarray:
+    blend = np.zeros(grid.shape[0])
+    if field is not None:
+        blend[field.rows] = field.blend
+    return blend
 
 
 def _leaning(field: ViewField, lean: np.ndarray) -> ViewField:
@@ -249,6 +265,9 @@ class Found:
 
     Attributes
     ----------
+    grid : CylinderGrid
+    blends : list of (n,) float64
+        See `Case`.
     top, std : (n, m) float
         Closed surface, NaN where nothing supports it.
     depth, depth_std : (n, m) float
@@ -259,6 +278,8 @@ class Found:
         Edges that hold their cells together.
     """
 
+    grid: CylinderGrid
+    blends: list[np.ndarray]
     top: np.ndarray
     std: np.ndarray
     depth: np.ndarray
@@ -271,10 +292,10 @@ class Found:
     proof: HeldOut
 
 
-def solve_case(case: Case, out: np.ndarray, counted: np.ndarray) -> Found:
-    """Heights from all sections, after a proof by those of a mask (s,) in `counted` rows (n,)."""
+def solve_case(case: Case, out: np.ndarray) -> Found:
+    """Heights from all sections, after a proof by those of a mask (s,)."""
     grid, closed, laser = case.grid, case.closed, case.laser
-    proof, factor, first_r = _prove(case, out, counted)
+    proof, factor, first_r = _prove(case, out)
     case = case.upright(first_r)
     solved = case.solve(laser.select(closed.on_tread))
     photometry, solution = solved.photometry, solved.solution
@@ -291,6 +312,8 @@ def solve_case(case: Case, out: np.ndarray, counted: np.ndarray) -> Found:
         grid,
     )
     return Found(
+        grid,
+        case.blends,
         np.where(known, solution.r, np.nan),
         std,
         *depth,
@@ -303,11 +326,8 @@ def solve_case(case: Case, out: np.ndarray, counted: np.ndarray) -> Found:
     )
 
 
-def _prove(case: Case, out: np.ndarray, counted: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
-    """Heights without the sections of a mask (s,), what these say, the factor they ask for.
-
-    Of their points those in `counted` rows (n,) enter the figures.
-    """
+def _prove(case: Case, out: np.ndarray) -> tuple[HeldOut, float, np.ndarray]:
+    """Heights without the sections of a mask (s,), what these say, the factor they ask for."""
     tread_points = case.laser.select(case.closed.on_tread)
     out = out[tread_points.section]
     # The first surface knows the held-out sections: only where it counts for nothing against the
@@ -325,11 +345,10 @@ def _prove(case: Case, out: np.ndarray, counted: np.ndarray) -> tuple[HeldOut, f
     clear = _clear(_steps(solution, case.grid) | case.walls, case.grid)
     held = held.select(clear[held.row, held.column])
     factor = coverage_factor(solution.r, lambda: solved.std(case.grid), held, case.shared_rows)
-    own = held.select(counted[held.row])
-    return compare_held_out(solution.r, own), factor, solution.r
+    return compare_held_out(solution.r, held), factor, solution.r
 
 
-def _outside(field: ViewField, mask: np.ndarray) -> ViewField:
+def outside(field: ViewField, mask: np.ndarray) -> ViewField:
     """The field without its slopes in a mask (n, m)."""
     return replace(field, slope=np.where(mask[field.rows], np.float32(np.nan), field.slope))
 

@@ -60,8 +60,8 @@ def slot_depths(
     inside = way_out(slots.mask, grid)
     widest = 2 * ndimage.maximum(inside, slots.label, np.arange(1, slots.count + 1))
     kinds = kinds_of(slots)
-    reached = _reached(slots, kinds, laser, deep)
     away = inside[laser.row, laser.column]
+    reached = _reached(slots, kinds, laser, deep, away > shared_rows / 2)
     deep = deep & (away > shared_rows / 2)
     laser, away = laser.select(deep), away[deep]
     label = slots.label[laser.row, laser.column]
@@ -97,14 +97,25 @@ def slot_depths(
     return depth, std
 
 
-def _reached(slots: Patches, kinds: Kinds, laser: LaserCells, deep: np.ndarray) -> np.ndarray:
-    """Slots (count,) of a kind in which the greater part of the points is deep (k,)."""
+def _reached(
+    slots: Patches, kinds: Kinds, laser: LaserCells, deep: np.ndarray, clear: np.ndarray
+) -> np.ndarray:
+    """Slots (count,) of a kind in which the greater part of the points is deep (k,).
+
+    Of those that are clear of the walls (k,), where there are enough.
+    """
     label = slots.label[laser.row, laser.column]
-    points = np.bincount(label, minlength=slots.count + 1)[1:]
-    found = np.bincount(label[deep], minlength=slots.count + 1)[1:]
-    alike = (kinds.alike(k) for k in range(slots.count))
-    shares = [(found[kind].sum(), points[kind].sum()) for kind in alike]
-    return np.array([some > _MOSTLY * every for some, every in shares], bool)
+    points, found = (
+        np.array([np.bincount(label[m], minlength=slots.count + 1)[1:] for m in (clear & own, own)])
+        for own in (np.ones(len(deep), bool), deep)
+    )
+    reached = np.zeros(slots.count, bool)
+    for k in range(slots.count):
+        kind = kinds.alike(k)
+        inner, every = points[:, kind].sum(axis=1)
+        which = 0 if inner >= _LEAST_POINTS else 1
+        reached[k] = found[which, kind].sum() > _MOSTLY * (inner, every)[which]
+    return reached
 
 
 def _between(least: float, most: float) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
+from treadlight.threads import by_ranges, cores
 
 # Two slopes times their weights, these, material, and how many pixels are usable; the share of
 # each flag, and how many pixels there are.
@@ -19,13 +20,14 @@ POOR_FIT = FLAGS.index("poor_fit")
 _LEAST_SHARE = 0.15
 # Pixels taken at a time.
 _BLOCK_PX = 1 << 20
+_LEAST_PX = 1 << 12
 
 
 class View(Protocol):
     """A view that may be larger than the memory."""
 
-    def blocks(self) -> Iterator["ViewNormals"]:
-        """Some rows of the image after the other."""
+    def blocks(self, grid: CylinderGrid) -> Iterator["ViewNormals"]:
+        """Parts of the image, all that see something of a grid among them."""
         ...
 
 
@@ -59,8 +61,9 @@ class ViewNormals:
     poor_fit: np.ndarray
     camera: np.ndarray | None = None
 
-    def blocks(self) -> Iterator["ViewNormals"]:
+    def blocks(self, grid: CylinderGrid) -> Iterator["ViewNormals"]:
         """Some rows of the image after the other."""
+        del grid
         height, *width = self.theta.shape
         step = max(1, _BLOCK_PX // int(np.prod(width, dtype=int)))
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "camera"}
@@ -107,7 +110,7 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
     taken = np.zeros(grid.shape[0], bool)
     low, high = np.inf, -np.inf
     for view in blocks:
-        row, column = grid.index(view.theta, view.z)
+        row, column = (x.ravel() for x in grid.index(view.theta, view.z))
         inside = np.isfinite(row) & np.isfinite(column)
         inside &= (column > -0.5) & (column < grid.shape[1] - 0.5)
         if not grid.periodic:
@@ -116,9 +119,10 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
             high = max(high, row.max(where=inside, initial=-np.inf))
             inside &= (row > -0.5) & (row < grid.shape[0] - 0.5)
         if inside.any():
-            row, column = row[inside], column[inside]
-            taken[np.maximum(np.floor(row).astype(int), 0)] = True
-            _splat(row, column, _channels(view, inside), grid.periodic, total)
+            taken[np.maximum(np.floor(row[inside]).astype(int), 0)] = True
+            given = row, column, inside, _channels(view), grid.periodic
+            # Every range looks at all pixels.
+            by_ranges(_splat, len(total), -(-len(total) // cores()), *given, total)
     if not taken.any():
         return None
     rows = _rows_covered(taken, grid)
@@ -128,29 +132,33 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
     return _field(total[rows], rows, _blend(rows[0] - first, len(rows), last - first))
 
 
-def _channels(view: ViewNormals, inside: np.ndarray) -> np.ndarray:
-    """What the pixels of a mask hand to cells, (k, 12) float32."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        n_r, n_t, n_z = (view.normal[inside, k].astype(np.float64) for k in range(3))
-        slope = np.stack([-n_t / n_r, -n_z / n_r])
-        tilt = view.covariance[inside][:, [0, 2]].T.astype(np.float64)
-        weight = 1 / slope_variance(slope, tilt)
-    usable = np.isfinite(slope).all(axis=0) & np.isfinite(weight).all(axis=0) & (n_r > 0)
-    weight = np.where(usable, weight, 0.0)
-    slope = np.where(usable, slope, 0.0)
-    channels = np.concatenate(
-        [
-            weight * slope,
-            weight,
-            np.where(usable, view.material[inside].T, 0.0),
-            usable[None],
-            view.shadowed[inside][None],
-            view.saturated[inside][None],
-            view.poor_fit[inside][None],
-            np.ones((1, slope.shape[1])),
-        ]
-    )
-    return np.ascontiguousarray(channels.astype(np.float32).T)
+def _channels(view: ViewNormals) -> np.ndarray:
+    """What pixels hand to cells, (k, 12) float32."""
+    channels = np.empty((view.theta.size, _CHANNELS), np.float32)
+    known = view.normal, view.covariance, view.material
+    flags = (view.shadowed.ravel(), view.saturated.ravel(), view.poor_fit.ravel())
+    values = (x.reshape(-1, 3) for x in known)
+    by_ranges(_hand_over, len(channels), _LEAST_PX, *values, *flags, channels)
+    return channels
+
+
+@kernel
+def _hand_over(first, last, normal, covariance, material, shadowed, saturated, poor_fit, channels):
+    for k in range(first, last):
+        n_r = np.float64(normal[k, 0])
+        p, q = -normal[k, 1] / n_r, -normal[k, 2] / n_r
+        steep = 1 + p * p + q * q
+        w_p = 1 / ((1 + p * p) ** 2 * steep * covariance[k, 0])
+        w_q = 1 / ((1 + q * q) ** 2 * steep * covariance[k, 2])
+        channels[k] = 0
+        if n_r > 0 and np.isfinite(p + q) and np.isfinite(w_p + w_q):
+            channels[k, 0], channels[k, 1] = w_p * p, w_q * q
+            channels[k, 2], channels[k, 3] = w_p, w_q
+            for c in range(3):
+                channels[k, 4 + c] = material[k, c]
+            channels[k, 7] = 1
+        channels[k, 8], channels[k, 9] = shadowed[k], saturated[k]
+        channels[k, 10], channels[k, 11] = poor_fit[k], 1
 
 
 def slope_variance(slope: np.ndarray, tilt: np.ndarray) -> np.ndarray:
@@ -206,18 +214,22 @@ def _blend(first: int, count: int, whole: int) -> np.ndarray:
 
 
 @kernel
-def _splat(row, column, channels, periodic, total):
-    """Share every point's channels bilinearly among the four cells around it."""
+def _splat(first, last, row, column, inside, channels, periodic, total):
+    """Share every point's channels bilinearly among the four cells around it, in some rows."""
     rows, columns, count = total.shape
     for k in range(len(row)):
+        if not inside[k]:
+            continue
         i = int(np.floor(row[k]))
         j = int(np.floor(column[k]))
         down = row[k] - i
         right = column[k] - j
         for a in range(2):
+            place = (i + a) % rows if periodic else i + a
+            if not first <= place < last:
+                continue
             for b in range(2):
-                place = (i + a) % rows if periodic else i + a
-                if not (0 <= place < rows and 0 <= j + b < columns):
+                if not 0 <= j + b < columns:
                     continue
                 share = (down if a else 1 - down) * (right if b else 1 - right)
                 for c in range(count):

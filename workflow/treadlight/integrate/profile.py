@@ -1,15 +1,26 @@
 """The whole integration of one capture: sections, views and first surface in, profile out."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate.case import FirstSurface, LaserSections, prepare, solve_case
+from treadlight.integrate.case import (
+    FirstSurface,
+    Found,
+    LaserSections,
+    outside,
+    placed_fields,
+    prepare,
+    solve_case,
+)
+from treadlight.integrate.cells import sampled, solved_grid, thinned, width_of_cells
+from treadlight.integrate.edges import Photometry, merge_views
 from treadlight.integrate.gather import View
-from treadlight.integrate.laser import LaserCells, held_out
+from treadlight.integrate.laser import held_out, laser_cells
+from treadlight.integrate.relief import Upsampled, add_relief, height_around, smooth_cells
 from treadlight.integrate.slots import ClosedTread
 from treadlight.integrate.uncertainty import HeldOut
 
@@ -63,18 +74,15 @@ def integrate_capture(
     grid: CylinderGrid,
     held_out_every: int,
     instead: Iterable[View] | None = None,
-    core: slice = slice(None),
 ) -> Profile:
     """Heights from slopes, laser sections and the first surface, with their uncertainty.
 
-    Solved twice: without the held-out sections, to compare with them, and then with all, since a
-    block that a single section crosses would lose its height with it. The figures of the
-    comparison are so on the safe side.
+    All in memory; see `solve_capture` and `profile_of`.
 
     Parameters
     ----------
     views : iterable of View
-        May be empty (laser only); taken one by one.
+        May be empty (laser only).
     sections : LaserSections
         May hold no point (photometric only: the shape about the first surface's level).
     surface : FirstSurface
@@ -84,39 +92,171 @@ def integrate_capture(
         Every n-th section stays out of the first solve; 0 = none.
     instead : iterable of View, optional
         Normals that the solve takes instead of the views', which still tell where cuts are.
-    core : slice
-        Rows whose cells and points count in the profile's figures.
     """
-    counted = np.zeros(grid.shape[0], bool)
-    counted[core] = True
+    views, instead = list(views), None if instead is None else list(instead)
+    width = width_of_cells(grid, grid.shape[0] * grid.shape[1])
+    cells = solved_grid(grid, width)
+    place = np.ix_(*sampled(grid, cells))
+    first = FirstSurface(surface.r[place], surface.r_std[place])
+    found = solve_capture(views, thinned(sections, width), first, cells, held_out_every, instead)
+    return profile_of(found, views if instead is None else instead, sections, grid)
+
+
+def solve_capture(
+    views: Iterable[View],
+    sections: LaserSections,
+    surface: FirstSurface,
+    cells: CylinderGrid,
+    held_out_every: int,
+    instead: Iterable[View] | None = None,
+) -> Found:
+    """The surface of a capture on cells that may be wider than its pixels.
+
+    Solved twice: without the held-out sections, to compare with them, and then with all, since a
+    block that a single section crosses would lose its height with it. The figures of the
+    comparison are so on the safe side.
+
+    Parameters
+    ----------
+    sections : LaserSections
+        With about a line for each column of cells.
+    surface : FirstSurface
+        On the cells.
+    views, held_out_every, instead
+        See `integrate_capture`.
+    """
     out = held_out(len(sections.r), held_out_every)
-    found = solve_case(prepare(views, sections, surface, grid, instead), out, counted)
-    closed, photometry, inside = found.closed, found.photometry, found.closed.slots.mask
-    r = np.where(inside, found.top - closed.opening * found.depth, found.top)
-    std = np.where(inside, np.hypot(found.std, found.depth_std), found.std)
+    return solve_case(prepare(views, sections, surface, cells, instead), out)
+
+
+def profile_of(
+    found: Found,
+    views: Sequence[View],
+    sections: LaserSections,
+    grid: CylinderGrid,
+    core: slice = slice(None),
+) -> Profile:
+    """The profile on the grid of the cells, or on pixels that see finer relief.
+
+    Parameters
+    ----------
+    found : Found
+    views : sequence of View
+        Those whose slopes were solved.
+    sections : LaserSections
+        All of their points.
+    grid : CylinderGrid
+        Of the cells, or of some rows of the pixels.
+    core : slice
+        Rows whose points count in the profile's figures.
+    """
+    if grid.shape == found.grid.shape:
+        return _profile_of_cells(found)
+    return _profile_of_pixels(found, views, sections, grid, core)
+
+
+def _profile_of_cells(found: Found) -> Profile:
+    closed, grid = found.closed, found.grid
+    inside, laser = closed.slots.mask, np.zeros(grid.shape, bool)
+    laser[found.laser.row, found.laser.column] = True
+    r, std = _with_slots(found)
     slope = _solved_slopes(found.top, found.uncut, grid)
-    seen = _near(found.steps | inside, grid) & _seen(closed, grid)
-    whole = np.where(seen, _blurred_slopes(r, grid), slope)
+    blurred = _near(found.steps | inside, grid) & _seen(closed, grid)
     return Profile(
         r=r,
-        r_std=np.where(np.isfinite(r), std, np.nan),
-        normal=_normals(np.where(np.isfinite(whole), whole, slope)),
-        material=photometry.material,
-        laser=_cells(found.laser, grid),
-        photometric=np.isfinite(photometry.slope[0]),
+        r_std=std,
+        normal=_surface_normals(slope, blurred, r, grid),
+        laser=laser,
         step=found.steps | (closed.reach & ~inside),
-        shadowed=photometry.flags[0] > 0.5,
-        saturated=photometry.flags[1] > 0.5,
         held_out=found.proof,
-        laser_points=int(counted[found.laser.row].sum()),
-        normal_residual=_normal_residual(slope[:, core], photometry.slope[:, core]),
+        laser_points=len(found.laser.value),
+        normal_residual=_normal_residual(slope, found.photometry.slope),
+        **_seen_fields(found.photometry),
     )
 
 
-def _cells(laser: LaserCells, grid: CylinderGrid) -> np.ndarray:
+def _profile_of_pixels(
+    found: Found,
+    views: Sequence[View],
+    sections: LaserSections,
+    grid: CylinderGrid,
+    core: slice,
+) -> Profile:
+    up, closed, cells = Upsampled.between(found.grid, grid), found.closed, found.grid
+    inside = closed.slots.mask
+    solid = np.where(np.isfinite(found.top), found.top, closed.r)
+    surface = up.linear(solid)
+    photometry = _seen_by_pixels(found, views, up, surface, grid)
+    smooth, height = smooth_cells(solid, found.steps, cells), height_around(solid, cells)
+    width = cells.step_z / grid.step_z
+    around = up.nearest(smooth), up.nearest(height)
+    top = add_relief(surface, *around, photometry, width, grid)
+    r, std = _with_slots(found)
+    # What the cells cut into their closed surface.
+    r = top - up.linear(solid - r)
+    laser = laser_cells(
+        sections.r, sections.theta, sections.z, sections.r_std, photometry.slope, grid
+    )
     mask = np.zeros(grid.shape, bool)
     mask[laser.row, laser.column] = True
-    return mask
+    counted = np.zeros(grid.shape[0], bool)
+    counted[core] = True
+    steps = up.nearest(found.steps)
+    uncut = np.ones((2, *grid.shape), bool)
+    uncut[0, -1], uncut[1, :, -1] = grid.periodic, False
+    slope = _solved_slopes(top, uncut, grid)
+    blurred = _near(steps | up.nearest(inside), grid) & up.nearest(_seen(closed, cells))
+    return Profile(
+        r=r,
+        r_std=up.linear(std),
+        normal=_surface_normals(slope, blurred, r, grid),
+        laser=mask,
+        step=steps | up.nearest(closed.reach & ~inside),
+        held_out=found.proof,
+        laser_points=int(counted[laser.row].sum()),
+        normal_residual=_normal_residual(slope[:, core], photometry.slope[:, core]),
+        **_seen_fields(photometry),
+    )
+
+
+def _seen_by_pixels(
+    found: Found, views: Sequence[View], up: Upsampled, surface: np.ndarray, grid: CylinderGrid
+) -> Photometry:
+    """What views see on a surface (n, m), without slopes in slots."""
+    slots = ndimage.maximum_filter(found.closed.slots.mask, 3, mode=found.grid.filter_mode)
+    closed = up.nearest(slots)
+    fields = []
+    for view, blend in zip(views, found.blends, strict=True):
+        (field,) = placed_fields([view], surface, grid)
+        if field is not None:
+            share = up.along(blend)[field.rows].astype(np.float32)
+            fields.append(outside(replace(field, blend=share), closed))
+    return merge_views(fields, grid)
+
+
+def _with_slots(found: Found) -> tuple[np.ndarray, np.ndarray]:
+    """Heights and their standard deviation with the slots cut into the closed surface, (n, m)."""
+    closed, inside = found.closed, found.closed.slots.mask
+    r = np.where(inside, found.top - closed.opening * found.depth, found.top)
+    std = np.where(inside, np.hypot(found.std, found.depth_std), found.std)
+    return r, np.where(np.isfinite(r), std, np.nan)
+
+
+def _seen_fields(photometry: Photometry) -> dict[str, np.ndarray]:
+    return {
+        "material": photometry.material,
+        "photometric": np.isfinite(photometry.slope[0]),
+        "shadowed": photometry.flags[0] > 0.5,
+        "saturated": photometry.flags[1] > 0.5,
+    }
+
+
+def _surface_normals(
+    slope: np.ndarray, blurred: np.ndarray, r: np.ndarray, grid: CylinderGrid
+) -> np.ndarray:
+    """Normals of solved slopes (2, n, m), in a mask (n, m) those of the heights as pixels see."""
+    whole = np.where(blurred, _blurred_slopes(r, grid), slope)
+    return _normals(np.where(np.isfinite(whole), whole, slope))
 
 
 def _near(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:

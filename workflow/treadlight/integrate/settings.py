@@ -12,9 +12,9 @@ class IntegrateSettings:
     held_out_every : int
         Every n-th laser section is kept out of a first solve and compared with it, before the
         profile is solved with all; 0 compares none.
-    sector_cells : int
-        Cells that are solved together; larger captures are solved in sectors of the turn.
+    most_cells : int
+        Cells that are solved together: wider ones where there would be more.
     """
 
     held_out_every: int = 10
-    sector_cells: int = 16_000_000
+    most_cells: int = 16_000_000

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
+from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.gather import ViewNormals
+from treadlight.threads import by_ranges
 
 # Sections that tell together where the tread is: a cut that is narrower than one and a half of
 # their distances is bridged.
@@ -15,6 +17,7 @@ _PER_SPACING = 4
 # A surface this many standard deviations off the tread is a cut, or a ghost.
 _OFF_SIGMA = 4.0
 _ROUNDS = 3
+_LEAST_PX = 1 << 10
 
 
 def bridged_surface(
@@ -56,39 +59,51 @@ def seen_on(view: ViewNormals, surface: np.ndarray, grid: CylinderGrid) -> ViewN
     """
     if view.camera is None:
         return view
-    centre, encoder = view.camera[0], -view.camera[1]
-    away = view.theta.astype(np.float64) + encoder
-    ray = np.stack(
-        [view.r * np.cos(away) - centre, view.r * np.sin(away), view.z - view.camera[2]], axis=-1
-    )
-    along = ray[..., 0] ** 2 + ray[..., 1] ** 2
-    theta, z, r = (x.astype(np.float64) for x in (view.theta, view.z, view.r))
-    for _ in range(_ROUNDS):
-        r = _looked_up(surface, theta, z, grid)
-        # Where |centre + share * ray| = r, on the near side of the axis.
-        half = centre * ray[..., 0]
-        with np.errstate(invalid="ignore"):
-            root = np.sqrt(half**2 - along * (centre**2 - r**2))
-            share = -(half + root) / along
-        x, y = centre + share * ray[..., 0], share * ray[..., 1]
-        theta, z = np.arctan2(y, x) - encoder, share * ray[..., 2] + view.camera[2]
-    return replace(view, normal=_turned(view.normal, theta - view.theta), r=r, theta=theta, z=z)
+    shape = view.theta.shape
+    r, theta, z = (np.empty(shape) for _ in range(3))
+    normal = np.empty((*shape, 3), np.float32)
+    known = (view.r.ravel(), view.theta.ravel(), view.z.ravel(), view.normal.reshape(-1, 3))
+    moved = (r.ravel(), theta.ravel(), z.ravel(), normal.reshape(-1, 3))
+    middle = 0.5 * (grid.theta[0] + grid.theta[-1])
+    place = (grid.periodic, middle, middle - grid.theta[0], grid.step_theta, grid.z[0], grid.step_z)
+    centre, turned, beside = (float(x) for x in view.camera)
+    camera = centre, -turned, beside
+    by_ranges(_see, theta.size, _LEAST_PX, *known, *camera, surface, *place, *moved)
+    return replace(view, normal=normal, r=r, theta=theta, z=z)
 
 
-def _turned(normal: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Normals in the local basis of places further along theta by an angle, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    n_r, n_theta, n_z = np.moveaxis(normal, -1, 0)
-    return np.stack([c * n_r + s * n_theta, c * n_theta - s * n_r, n_z], axis=-1)
-
-
-def _looked_up(
-    surface: np.ndarray, theta: np.ndarray, z: np.ndarray, grid: CylinderGrid
-) -> np.ndarray:
-    """Values of the nearest cells; at the rim those of the last ones. NaN where a place is NaN."""
-    row, column = grid.index(theta, z)
-    known = np.isfinite(row) & np.isfinite(column)
-    i = np.rint(np.where(known, row, 0)).astype(int)
-    j = np.clip(np.rint(np.where(known, column, 0)).astype(int), 0, grid.shape[1] - 1)
-    i = i % grid.shape[0] if grid.periodic else np.clip(i, 0, grid.shape[0] - 1)
-    return np.where(known, surface[i, j], np.nan)
+@kernel
+def _see(
+    first, last, r, theta, z, normal, centre, encoder, beside, surface, periodic, middle, offset,
+    step_theta, first_z, step_z, new_r, new_theta, new_z, new_normal,
+):  # fmt: skip
+    """Move pixels along their rays onto the surface (n, m), and turn their normals with them."""
+    n, m = surface.shape
+    for k in range(first, last):
+        away = theta[k] + encoder
+        ray_x, ray_y = r[k] * np.cos(away) - centre, r[k] * np.sin(away)
+        ray_z = z[k] - beside
+        along, half = ray_x * ray_x + ray_y * ray_y, centre * ray_x
+        at_theta, at_z, at_r = np.float64(theta[k]), np.float64(z[k]), np.nan
+        for _ in range(_ROUNDS):
+            # The nearest cell; at the rim the last one.
+            turn = at_theta - middle + np.pi
+            row = (offset + turn - np.floor(turn / (2 * np.pi)) * (2 * np.pi) - np.pi) / step_theta
+            column = (at_z - first_z) / step_z
+            if not (np.isfinite(row) and np.isfinite(column)):
+                at_r = np.nan
+                break
+            i, j = int(np.rint(row)), min(max(int(np.rint(column)), 0), m - 1)
+            i = i % n if periodic else min(max(i, 0), n - 1)
+            at_r = surface[i, j]
+            # Where |centre + share * ray| = r, on the near side of the axis.
+            inside = half * half - along * (centre * centre - at_r * at_r)
+            share = -(half + np.sqrt(inside)) / along if inside >= 0 else np.nan
+            at_theta = np.arctan2(share * ray_y, centre + share * ray_x) - encoder
+            at_z = share * ray_z + beside
+        new_r[k], new_theta[k], new_z[k] = at_r, at_theta, at_z
+        # The local basis of a place further along theta.
+        c, s = np.cos(at_theta - theta[k]), np.sin(at_theta - theta[k])
+        new_normal[k, 0] = c * normal[k, 0] + s * normal[k, 1]
+        new_normal[k, 1] = c * normal[k, 1] - s * normal[k, 0]
+        new_normal[k, 2] = normal[k, 2]

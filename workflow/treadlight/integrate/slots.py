@@ -50,6 +50,8 @@ _MIDDLE = 0.9
 # Of the rows that are seen: what fills more of a column runs around the tire, as a groove's lip or
 # the rim of what is seen.
 _AROUND = 0.5
+# A lip and its blur are so wide on either side.
+_LIP_CELLS = 7
 # Of a slot's cells: less is tilted tread with some shadow.
 _SEEN_SHARE = 0.25
 
@@ -119,9 +121,16 @@ def close_cuts(
     lost = _lost(laser, std, grid)
     lines = _cut_lines(cues.dark, laser, lost, grid)
     broken = _breaks(cues, grid) | (lines > 0)
-    over = _bridge(start, broken, std, laser, depth, grid)
+    seen = _seen_rows(cues.dark)
+    over = _bridge(start, broken, seen, spacing, std, laser, depth, grid)
     nowhere = np.zeros(grid.shape, bool)
-    slots, met = _slots(cues, lines, nowhere, over.cut, laser, lost, grid)
+
+    def crossing(cut: np.ndarray) -> np.ndarray:
+        # A slot's mouth goes on through the lip.
+        mouth = ndimage.maximum_filter1d(_briefly(cut, seen, spacing, grid), _LIP_CELLS, axis=1)
+        return cut & (mouth | (lines > 0))
+
+    slots, met = _slots(cues, lines, nowhere, crossing(over.cut), laser, lost, grid)
     looked = looked_at(fields, spacing, grid)
     below = _tread_level(over.r, looked, grid)[laser.row, laser.column] - laser.value
     hidden, unknown = hidden_cuts(
@@ -137,8 +146,8 @@ def close_cuts(
     )
     if hidden.any():
         broken |= ndimage.maximum_filter(hidden, 3, mode=grid.filter_mode)
-        over = _bridge(start, broken, std, laser, depth, grid)
-        slots, met = _slots(cues, lines, hidden, over.cut, laser, lost, grid)
+        over = _bridge(start, broken, seen, spacing, std, laser, depth, grid)
+        slots, met = _slots(cues, lines, hidden, crossing(over.cut), laser, lost, grid)
     below = over.r[laser.row, laser.column] - laser.value
     deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
     return ClosedTread(
@@ -156,7 +165,10 @@ def close_cuts(
 
 @dataclass(frozen=True)
 class _Bridged:
-    """A surface (n, m) with cuts closed; the interpolated cells, cuts and tread; points (k,)."""
+    """A surface (n, m) with cuts closed; the interpolated cells, cuts and tread; points (k,).
+
+    Not all cuts are interpolated across: see `_briefly`.
+    """
 
     r: np.ndarray
     bridged: np.ndarray
@@ -168,12 +180,14 @@ class _Bridged:
 def _bridge(
     start: np.ndarray,
     broken: np.ndarray,
+    seen: np.ndarray,
+    spacing: float,
     std: float,
     laser: LaserCells,
     depth: Callable[[np.ndarray], np.ndarray],
     grid: CylinderGrid,
 ) -> _Bridged:
-    """The surface without what breaks its tread, (n, m) bool."""
+    """The surface without what breaks its tread, (n, m) bool, in the rows seen, (n,) bool."""
     patches = find_patches(broken, grid)
     count = len(laser.value)
     sections = _completed(laser, start, std, grid)
@@ -181,11 +195,15 @@ def _bridge(
     # What the first surface says where no point is tells of slots, not where the tread is.
     kept = off | (np.arange(len(off)) < count)
     sections, off = sections.select(kept), off[kept]
-    closed, _ = _interpolated(start, patches.mask, off, sections, grid)
+    # Along a groove's lip there is nothing to interpolate from: most of its column is broken.
+    closed, _ = _interpolated(
+        start, _briefly(patches.mask, seen, spacing, grid), off, sections, grid
+    )
     # Grooves that run around the tire are drawn well by the sections: they stay.
     tread = depth(closed) < _GROOVE_DEPTH
     cut = find_patches(patches.mask & tread, grid).mask
-    closed, bridged = _interpolated(start, cut, off, sections, grid)
+    crossing = _briefly(cut, seen, spacing, grid)
+    closed, bridged = _interpolated(start, crossing, off, sections, grid)
     return _Bridged(closed, bridged, cut, tread, ~off[:count])
 
 
@@ -225,10 +243,31 @@ def _cut_lines(
     sections know which.
     """
     lines = dark_lines(dark, grid)
-    seen = (dark != 0).any(axis=1)
-    lines *= (lines > 0).sum(axis=0) <= _AROUND * seen.sum()
+    lines *= _across(lines > 0, _seen_rows(dark))
     patches = find_patches(lines > 0, grid)
     return np.where(patches.select(_lost_share(patches, laser, lost) > _MOSTLY).mask, lines, 0)
+
+
+def _seen_rows(dark: np.ndarray) -> np.ndarray:
+    return (dark != 0).any(axis=1)
+
+
+def _across(mask: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The mask (n, m) without columns that it fills for the greater part of the rows seen (n,)."""
+    return mask & (np.count_nonzero(mask[seen], axis=0) <= _AROUND * np.count_nonzero(seen))
+
+
+def _briefly(mask: np.ndarray, seen: np.ndarray, spacing: float, grid: CylinderGrid) -> np.ndarray:
+    """The part of a mask (n, m) that has tread beside it along theta.
+
+    Neither a groove's lip all around nor, from slot to slot, a part of it: over three sections'
+    distance most of its column is in the mask.
+    """
+    size = 2 * round(_SECTIONS / 2 * spacing) + 1
+    share = ndimage.uniform_filter1d(
+        mask.astype(np.float32), size, axis=0, mode=grid.filter_mode[0]
+    )
+    return _across(mask, seen) & (share < _AROUND)
 
 
 def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.ndarray:
