@@ -110,17 +110,15 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
     taken = np.zeros(grid.shape[0], bool)
     low, high = np.inf, -np.inf
     for view in blocks:
-        row, column = (x.ravel() for x in grid.index(view.theta, view.z))
-        inside = np.isfinite(row) & np.isfinite(column)
-        inside &= (column > -0.5) & (column < grid.shape[1] - 0.5)
+        row, column = _indices(view, grid)
         if not grid.periodic:
             # The view may go on beyond an open grid.
-            low = min(low, row.min(where=inside, initial=np.inf))
-            high = max(high, row.max(where=inside, initial=-np.inf))
-            inside &= (row > -0.5) & (row < grid.shape[0] - 0.5)
-        if inside.any():
-            taken[np.maximum(np.floor(row[inside]).astype(int), 0)] = True
-            given = row, column, inside, _channels(view), grid.periodic
+            low, high = np.fmin.reduce(row, initial=low), np.fmax.reduce(row, initial=high)
+            row[~((row > -0.5) & (row < grid.shape[0] - 0.5))] = np.nan
+        seen = row[np.isfinite(row)]
+        if seen.size:
+            taken[np.maximum(np.floor(seen).astype(int), 0)] = True
+            given = row, column, _channels(view), grid.periodic
             # Every range looks at all pixels.
             by_ranges(_splat, len(total), -(-len(total) // cores()), *given, total)
     if not taken.any():
@@ -130,6 +128,13 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
     if not grid.periodic:
         first, last = int(np.floor(low)), int(np.floor(high)) + 2
     return _field(total[rows], rows, _blend(rows[0] - first, len(rows), last - first))
+
+
+def _indices(view: ViewNormals, grid: CylinderGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns (k,) of the pixels' scene points; NaN of those aside of the columns."""
+    row, column = (x.ravel() for x in grid.index(view.theta, view.z))
+    row[~((column > -0.5) & (column < grid.shape[1] - 0.5))] = np.nan
+    return row, column
 
 
 def _channels(view: ViewNormals) -> np.ndarray:
@@ -173,14 +178,23 @@ def slope_variance(slope: np.ndarray, tilt: np.ndarray) -> np.ndarray:
 
 def _field(total: np.ndarray, rows: np.ndarray, blend: np.ndarray) -> ViewField:
     """Means of the cells from the sums (k, m, 12) of what pixels handed to them."""
-    total = np.moveaxis(total, 2, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        known = (total[7] > _LEAST_SHARE) & (total[2] > 0) & (total[3] > 0)
-        slope = np.where(known, total[0:2] / total[2:4], np.nan)
-        variance = np.where(known, 1 / total[2:4], np.nan)
-        material = np.where(known, total[4:7] / total[7], np.nan)
-        flags = np.where(total[11] > 0, total[8:11] / total[11], 0)
-    return ViewField(rows, slope, variance, material, flags, blend)
+    values = np.empty((10, *total.shape[:2]), np.float32)
+    by_ranges(_means, len(total), 1, total, values)
+    return ViewField(rows, values[0:2], values[2:4], values[4:7], values[7:10], blend)
+
+
+@kernel
+def _means(first, last, total, values):
+    for i in range(first, last):
+        for j in range(total.shape[1]):
+            cell = total[i, j]
+            known = cell[7] > _LEAST_SHARE and cell[2] > 0 and cell[3] > 0
+            for k in range(2):
+                values[k, i, j] = cell[k] / cell[2 + k] if known else np.nan
+                values[2 + k, i, j] = 1 / cell[2 + k] if known else np.nan
+            for k in range(3):
+                values[4 + k, i, j] = cell[4 + k] / cell[7] if known else np.nan
+                values[7 + k, i, j] = cell[8 + k] / cell[11] if cell[11] > 0 else 0
 
 
 def _rows_covered(taken: np.ndarray, grid: CylinderGrid) -> np.ndarray:
@@ -214,11 +228,11 @@ def _blend(first: int, count: int, whole: int) -> np.ndarray:
 
 
 @kernel
-def _splat(first, last, row, column, inside, channels, periodic, total):
+def _splat(first, last, row, column, channels, periodic, total):
     """Share every point's channels bilinearly among the four cells around it, in some rows."""
     rows, columns, count = total.shape
     for k in range(len(row)):
-        if not inside[k]:
+        if not np.isfinite(row[k]):
             continue
         i = int(np.floor(row[k]))
         j = int(np.floor(column[k]))
