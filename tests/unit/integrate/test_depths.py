@@ -56,6 +56,18 @@ def test_points_on_the_floor_say_how_deep_it_is_and_how_deep_its_like(grid, slot
     assert np.isnan(depth[:20]).all()
 
 
+def test_points_at_the_walls_of_a_wide_slot_do_not_hide_that_its_floor_is_reached(grid, slots):
+    """Two of three points lie between floor and lip, where lines share a wall's pull."""
+    columns = np.tile(np.arange(36, 54), 3)
+    rows = np.repeat([20, 27, 24], 18)
+    below = np.repeat([0.2, 0.3, FLOOR_MM - 1], 18)
+    laser = points(rows, columns, below)
+    top = np.full(grid.shape, RADIUS)
+    met = np.ones(slots.count, bool)
+    depth, _ = slot_depths(slots, met, top, laser, below > 0.5, 4.0, TREAD_MM, grid)
+    np.testing.assert_allclose(depth[20:28, 35:55], FLOOR_MM - 1)
+
+
 def test_points_that_hang_between_lips_and_floor_reached_nothing(grid, slots):
     """In one of the narrow slots most points lie deep, in all of them together few do."""
     columns = np.arange(6, 24)

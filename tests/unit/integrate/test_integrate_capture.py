@@ -260,3 +260,26 @@ def test_what_a_rib_leans_after_the_first_solve_is_taken_from_its_slopes(capture
         found = integrate_capture(iter(views), sections, surface, grid, 0)
         leans.append(np.median(np.diff(found.r, axis=1)[:, top[1:] & top[:-1]]) / STEP)
     assert leans[1] - leans[0] > 0.002
+
+
+def test_a_block_that_no_section_meets_stands_as_high_as_the_others(rng):
+    """A dark gap cuts it off, and the last section before it met a floor 3 mm down."""
+    grid = CylinderGrid.sector((0.1, 0.1 + 60 / RADIUS), (8.0, 25.0), STEP, RADIUS)
+    gap, beyond = grid.theta[78:84], grid.theta[84:]
+
+    def dark(theta, z):
+        return np.isin(theta, gap)
+
+    view = make_view(grid, rng, np.arange(len(grid.theta)), dark=dark)
+    sections = make_sections(grid, rng, 12, outliers=0)
+    kept = sections.theta[:, 0] < gap[0]
+    few = replace(
+        sections,
+        **{n: getattr(sections, n)[kept] for n in ("r", "theta", "z", "r_std", "encoder")},
+    )
+    surface = first_surface(grid, sections)
+    low = surface.r - 3.0 * (grid.theta >= gap[2])[:, None]
+    found = integrate_capture([view], few, FirstSurface(low, surface.r_std), grid, 0)
+    error = error_of(found, grid)[np.isin(grid.theta, beyond)]
+    assert len(few.r) > 6
+    assert abs(np.median(error)) < 0.5

@@ -191,6 +191,37 @@ def test_cuts_across_the_end_of_a_whole_turn_are_one():
     np.testing.assert_allclose(closed.r, radius, atol=1e-9)
 
 
+@pytest.mark.parametrize("rows", [np.arange(240), np.r_[:90, 200:240]])
+def test_a_lip_that_is_broken_all_around_is_not_interpolated_from_a_slots_mouth(rng, rows):
+    """Nor where it is broken for a part of the turn that is long beside the sections' distance."""
+    grid = CylinderGrid((np.arange(240) - 120) * STEP / RADIUS, np.arange(0, 20, STEP), RADIUS)
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    lip = np.zeros(grid.shape, bool)
+    lip[rows, 20:23] = True
+    normal = np.stack([np.ones_like(theta), *rng.normal(0, TILT_STD, (2, *grid.shape))], axis=-1)
+    none = np.zeros(theta.shape, bool)
+    view = ViewNormals(
+        normal, np.full((*theta.shape, 3), TILT_STD**2), np.full(theta.shape, RADIUS), theta, z,
+        normal, none, none, lip,
+    )  # fmt: skip
+    mouth = slice(40, 52)
+    start = np.full(grid.shape, RADIUS)
+    start[mouth, 20:23] -= SLOT_MM
+    # No section lies in the mouth: nothing says that the first surface there is not the tread.
+    met = np.setdiff1d(np.arange(4, 240, 12), [40])
+    line = grid.theta[met, None] + 0 * grid.z
+    laser = laser_cells(
+        start[met], line, np.broadcast_to(grid.z, line.shape), np.full(line.shape, LASER_STD),
+        np.zeros((2, *grid.shape)), grid,
+    )  # fmt: skip
+    closed = close_cuts(
+        [view_field([view], grid)], start, LASER_STD, laser, lambda r: (RADIUS - r) / 8, 12.0,
+        1.0, grid,
+    )  # fmt: skip
+    away = np.r_[:24, 68:240]
+    np.testing.assert_allclose(closed.r[away], RADIUS, atol=1e-9)
+
+
 def test_the_tread_is_where_sections_pass_by_the_slots_even_if_most_meet_one(rng):
     """Five of seven neighbouring sections lie in slots: their median is a slot's floor."""
     grid = CylinderGrid((np.arange(240) - 120) * STEP / RADIUS, np.arange(-5, 5, STEP), RADIUS)

@@ -142,13 +142,12 @@ class Case:
             self.first_edges.std,
             self.grid,
         )
-        # What all edges are cut around, and no laser point is in, has no other level than that of
-        # the outline, within the height of the tread; beyond the last section the first surface
-        # goes on as that one met a slot.
+        # Only the level of what all edges are cut around, and no laser point is in, needs the
+        # first surface: within the height of the tread.
         low, high = np.percentile(start, [1, 99])
         level = 1 / max(high - low, 1.0) ** 2
         laser = replace(laser, std=laser.std * np.sqrt(self.shared_rows))
-        return Problem(edges, laser, self.outline, np.where(np.isfinite(self.first.r), level, 0))
+        return Problem(edges, laser, start, np.where(np.isfinite(self.first.r), level, 0))
 
 
 @dataclass(frozen=True)
@@ -172,9 +171,10 @@ def prepare(
     grid: CylinderGrid,
     instead: Iterable[View] | None,
 ) -> Case:
-    start = prior.complete(surface.r)
     usual_std = float(np.nanmedian(surface.r_std))
     spacing = prior.section_spacing(sections.encoder, grid)
+    surface = _as_usual_beyond(surface, sections, spacing, grid)
+    start = prior.complete(surface.r)
     bridged = bridged_surface(start, usual_std, spacing, grid)
     seen = placed_fields(views, bridged, grid)
     blends = [_blend_of(field, grid) for field in seen]
@@ -232,6 +232,26 @@ def prepare(
         [np.zeros(grid.shape[1])] * len(fields),
         blends,
     )
+
+
+def _as_usual_beyond(
+    surface: FirstSurface, sections: LaserSections, spacing: float, grid: CylinderGrid
+) -> FirstSurface:
+    """The outline where the first surface goes on beyond the first or last section as that one is.
+
+    That may lie in a slot.
+    """
+    beyond = prior.beyond_sections(
+        np.where(np.isfinite(sections.r), sections.theta, np.nan), spacing, grid
+    )
+    if not beyond.any():
+        return surface
+    within = np.flatnonzero(~beyond)
+    inner, start = grid.part(within), prior.complete(surface.r)[within]
+    usual = prior.outline(start, tread.find_regions(start, inner), inner)
+    nearest = np.clip(np.arange(len(beyond)) - within[0], 0, len(within) - 1)
+    r = np.where(beyond[:, None] & np.isfinite(surface.r), usual[nearest], surface.r)
+    return replace(surface, r=r)
 
 
 def placed_fields(

@@ -37,6 +37,28 @@ def complete(surface: np.ndarray) -> np.ndarray:
     return surface[tuple(nearest)].astype(np.float64)
 
 
+def beyond_sections(theta: np.ndarray, spacing: float, grid: CylinderGrid) -> np.ndarray:
+    """Rows (n,) before the first and behind the last section, by more than half their distance.
+
+    None on a whole turn, or without a section.
+
+    Parameters
+    ----------
+    theta : (s, l) float
+        Of the sections' points, rad; NaN where there is none.
+    spacing : float
+        Distance of sections, cells along theta.
+    grid : CylinderGrid
+    """
+    row, _ = grid.index(theta, np.zeros(1))
+    known = np.isfinite(row) & (row > -0.5) & (row < grid.shape[0] - 0.5)
+    if grid.periodic or not known.any():
+        return np.zeros(grid.shape[0], bool)
+    rows = np.arange(grid.shape[0])
+    low, high = row[known].min() - spacing / 2, row[known].max() + spacing / 2
+    return (rows < low) | (rows > high)
+
+
 @dataclass(frozen=True)
 class FirstEdges:
     """Height differences to the next cell as the first surface has them; index as in `Edges`.
