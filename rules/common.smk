@@ -149,13 +149,19 @@ def settings(section):
     return json.dumps(CONFIG[section], sort_keys=True)
 
 
-def memory_of(bytes_per_pixel, fixed_mb=700):
+def memory_of(bytes_per_pixel, fixed_mb=700, most_mb=float("inf")):
     """Memory of a job that holds this much per pixel of an image; a failed job gets more."""
 
     def mem_mb(wildcards, attempt):
-        return attempt * int(fixed_mb + bytes_per_pixel * megapixels_of(wildcards))
+        asked = fixed_mb + bytes_per_pixel * megapixels_of(wildcards)
+        return attempt * int(min(asked, most_mb))
 
     return mem_mb
+
+
+def memory_of_cells(bytes_per_cell):
+    """MB for as many cells as are solved together, and for a band of pixels."""
+    return 2000 + int(bytes_per_cell * CONFIG["integrate"]["most_cells"] / 1e6)
 
 
 def runtime_of(seconds_per_megapixel, *kinds):

@@ -18,7 +18,7 @@ rule integrate:
         f"{RESULTS}/benchmarks/integrate/{{capture}}/{{round}}integrate.tsv"
     threads: 1
     resources:
-        mem_mb=memory_of(2500),
+        mem_mb=memory_of(2500, most_mb=memory_of_cells(350)),
         runtime=runtime_of(0.5, "laser", "led"),
     params:
         folder=folder_of,

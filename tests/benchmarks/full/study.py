@@ -18,10 +18,12 @@ import numpy as np
 import sector
 import stages
 
-from treadlight import store
+from treadlight import integrate, store
 from treadlight.archive import read_capture
 
 _SECTIONS, _VIEWS = 200, 17
+# Of the integration's memory, by the demo and the sample (0.7 and 1.2 million cells).
+_BYTES_OF_A_CELL = 350
 _ASKED = {
     "view_s": 60,
     "view_gib": 3,
@@ -64,18 +66,21 @@ def section_s(capture: Path, runs: int = 5) -> float:
     return float(np.median(times))
 
 
-def cells_of(surface: Path) -> tuple[int, float]:
-    """Cells of the sector's grid, and how many times as many the whole turn has."""
+def cells_of(surface: Path) -> tuple[int, int, float]:
+    """Pixels of the sector's grid, cells that are solved, how many times as many a turn has."""
     data = store.open_store(surface)
-    step = float(np.diff(data["theta"].values[:2])[0])
-    return data["r"].size, 2 * np.pi / (step * data.sizes["theta"])
+    grid = store.grid_of(data)
+    most = integrate.IntegrateSettings().most_cells
+    cells = integrate.solved_grid(grid, integrate.width_of_cells(grid, most))
+    turns = 2 * np.pi / (grid.step_theta * grid.shape[0])
+    return data["r"].size, cells.shape[0] * cells.shape[1], turns
 
 
 def summary(
-    taken: dict, section: float, sections: int, cells: tuple[int, float], cores: int
+    taken: dict, section: float, sections: int, cells: tuple[int, int, float], cores: int
 ) -> dict[str, Any]:
     """The figures, and the whole capture's by extrapolation."""
-    count, turns = cells
+    count, solved, turns = cells
     scale = {
         # The line is learned from as many sections of any capture.
         "detect-laser-pixels": 1.0,
@@ -86,9 +91,12 @@ def summary(
     }
     whole_s = sum(scale[name] * stage["wall_s"] for name, stage in taken.items())
     whole_s += (_SECTIONS - sections) * section / cores
-    # The integration holds one sector of the turn, however many there are.
-    grows = {"register-to-cylinder": turns}
-    whole_gib = max(grows.get(name, 1.0) * stage["peak_gib"] for name, stage in taken.items())
+    whole_gib = max(
+        turns * taken["register-to-cylinder"]["peak_gib"],
+        # Pixels are laid in bands; the cells of the turn are solved at once.
+        taken["integrate"]["peak_gib"] + (turns - 1) * solved * _BYTES_OF_A_CELL / (1 << 30),
+        *(stage["peak_gib"] for stage in taken.values()),
+    )
     view = taken["photometric-stereo"]
     figures = {
         "view_s": view["wall_s"],
@@ -98,7 +106,7 @@ def summary(
         "whole_gib": round(whole_gib, 1),
     }
     missed = [name for name, limit in _ASKED.items() if figures[name] > limit]
-    grid = {"sector_cells": count, "whole_turn_cells": round(count * turns)}
+    grid = {"sector_pixels": count, "sector_cells": solved, "turns": round(turns, 2)}
     return {"stages": taken, **grid, **figures, "whole": "extrapolated", "missed": missed}
 
 

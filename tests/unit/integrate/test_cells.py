@@ -52,7 +52,7 @@ def test_cells_cover_the_pixels(grid, width):
     assert (column > -0.51).all()
     assert (column < m - 0.49).all()
     rows, columns = sampled(grid, cells)
-    assert rows.shape, columns.shape == cells.shape
+    assert (len(rows), len(columns)) == cells.shape
     away = np.sin((grid.theta[rows] - cells.theta) / 2) * 2
     # A last row of cells may lie beyond the last pixel.
     assert (np.abs(away[:-1]) <= 0.51 * grid.step_theta).all()

@@ -90,6 +90,8 @@ class CylinderGrid:
         row = offset / self.step_theta
         if self.periodic:
             row = row % len(self.theta)
+            # The rest of a number just below zero is rounded to the divisor.
+            row = np.where(row < len(self.theta), row, 0.0)
         return row, (np.asarray(z) - self.z[0]) / self.step_z
 
 

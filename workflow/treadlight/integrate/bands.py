@@ -35,7 +35,9 @@ class Band:
 
 
 def bands_of(grid: CylinderGrid, width: int, most_pixels: int) -> Iterator[Band]:
-    """Bands of about `most_pixels`; one, if cells are pixels or the grid has no more.
+    """Bands of about `most_pixels`, and no fewer than their margins have.
+
+    One, if cells are pixels or the grid has no more.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ class Joined:
     def __init__(
         self, shape: tuple[int, int], empty: Callable[[tuple[int, ...], type], np.ndarray]
     ) -> None:
-        self._figures: list[tuple[int, tuple[float, float]]] = []
+        self._figures: list[tuple[int, int, tuple[float, float]]] = []
         self._arrays = {
             "r": empty(shape, np.float64),
             "r_std": empty(shape, np.float32),
@@ -92,13 +94,13 @@ class Joined:
                 into[:, rows] = own[:, band.core]
             else:
                 into[rows] = own[band.core]
-        self._figures.append((part.laser_points, part.normal_residual))
+        lit = int(part.photometric[band.core].sum())
+        self._figures.append((part.laser_points, lit, part.normal_residual))
 
     def profile(self, held_out: HeldOut) -> Profile:
         """What was laid, with the figures of all bands; normals' quantiles by their mean."""
-        points, residual = zip(*self._figures, strict=True)
-        count = np.array(points, float)
-        median, high = (_mean(values, count) for values in np.array(residual).T)
+        points, lit, residual = zip(*self._figures, strict=True)
+        median, high = (_mean(values, np.array(lit)) for values in np.array(residual).T)
         return Profile(
             **self._arrays,
             held_out=held_out,

@@ -29,6 +29,8 @@ from treadlight.integrate.uncertainty import (
 # An edge that keeps less than this share of its weight is a step.
 _STEP_SHARE = 0.05
 _CLEAR_CELLS = 3
+# Fewer sections do not tell the tread from what they met.
+_LEAST_SPACINGS = 3
 
 
 @dataclass(frozen=True)
@@ -244,9 +246,9 @@ def _as_usual_beyond(
     beyond = prior.beyond_sections(
         np.where(np.isfinite(sections.r), sections.theta, np.nan), spacing, grid
     )
-    if not beyond.any():
-        return surface
     within = np.flatnonzero(~beyond)
+    if not beyond.any() or len(within) < _LEAST_SPACINGS * spacing:
+        return surface
     inner, start = grid.part(within), prior.complete(surface.r)[within]
     usual = prior.outline(start, tread.find_regions(start, inner), inner)
     nearest = np.clip(np.arange(len(beyond)) - within[0], 0, len(within) - 1)

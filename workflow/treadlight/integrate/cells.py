@@ -10,7 +10,6 @@ import numpy as np
 from treadlight.geometry import CylinderGrid
 from treadlight.geometry.axis import wrap_angle
 from treadlight.integrate.case import LaserSections
-from treadlight.tread.robust import row_medians
 
 # The narrowest cuts that are made in treads are about as wide; the line of a laser is wider.
 _WIDTH_MM = 1 / 3
@@ -27,7 +26,7 @@ def width_of_cells(grid: CylinderGrid, most_cells: int) -> int:
     n, m = grid.shape
     finest = min(grid.step_theta * grid.nominal_radius_mm, grid.step_z)
     width = max(1, int(_WIDTH_MM / finest))
-    while (n // width) * (m // width) > most_cells and width < min(n, m) // 2:
+    while -(-n // width) * -(-m // width) > most_cells and width < min(n, m) // 2:
         width += 1
     return width
 
@@ -74,7 +73,9 @@ def thinned(sections: LaserSections, width: int) -> LaserSections:
         np.pad(x.astype(float), spare, constant_values=np.nan).reshape(count * groups, width)
         for x in (sections.r, sections.theta, sections.z, sections.r_std)
     )
-    middle = row_medians(r)[0][:, None]
+    # One of the points, not the mean of two: a wall may lie between them.
+    known = np.count_nonzero(np.isfinite(r), axis=1)
+    middle = np.sort(r, axis=1)[np.arange(len(r)), known // 2][:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         weight = np.where(np.abs(r - middle) <= _SAME_SIGMA * std, 1 / std**2, 0.0)
         total = weight.sum(axis=1)

@@ -44,11 +44,11 @@ class Profile:
     material : (3, n, m) float32
         k_d, k_s, alpha.
     laser, photometric, step : (n, m) bool
-        Cells with a laser point of the solve, with a slope, beside a step.
+        Cells with a laser point, with a slope, beside a step.
     shadowed, saturated : (n, m) bool
     held_out : HeldOut
     laser_points : int
-        Of the solve.
+        Those points, of all lines.
     normal_residual : (2,) float
         Median and 95th percentile of the angle between photometric and integrated normals, rad.
     """
@@ -150,7 +150,7 @@ def profile_of(
     core : slice
         Rows whose points count in the profile's figures.
     """
-    if grid.shape == found.grid.shape:
+    if grid is found.grid:
         return _profile_of_cells(found)
     return _profile_of_pixels(found, views, sections, grid, core)
 

@@ -32,7 +32,7 @@ class Upsampled:
     Attributes
     ----------
     row, column : (n,), (m,) float64
-        Fractional indices of the cells, within the grid.
+        Fractional indices of the cells, up to half a cell beyond the grid's rim.
     cells : CylinderGrid
     """
 
@@ -43,16 +43,14 @@ class Upsampled:
     @classmethod
     def between(cls, cells: CylinderGrid, pixels: CylinderGrid) -> "Upsampled":
         """The pixels of a grid among cells that cover it."""
-        row, column = cells.index(pixels.theta, pixels.z)
-        n, m = cells.shape
-        if not cells.periodic:
-            row = np.clip(row, 0, n - 1)
-        return cls(row, np.clip(column, 0, m - 1), cells)
+        return cls(*cells.index(pixels.theta, pixels.z), cells)
 
     def nearest(self, values: np.ndarray) -> np.ndarray:
         """Of each pixel's own cell, (n, m)."""
-        rows = np.rint(self.row).astype(int) % self.cells.shape[0]
-        return values[rows[:, None], np.rint(self.column).astype(int)]
+        n, m = self.cells.shape
+        i, j = (np.rint(x).astype(int) for x in (self.row, self.column))
+        i = i % n if self.cells.periodic else np.clip(i, 0, n - 1)
+        return values[i[:, None], np.clip(j, 0, m - 1)]
 
     def linear(self, values: np.ndarray) -> np.ndarray:
         """Bilinear mean of the known cells around, (n, m); NaN where a pixel's own is not known."""
@@ -71,14 +69,15 @@ class Upsampled:
     def _linear(self, values: np.ndarray) -> np.ndarray:
         i, below, down = self._rows()
         rows = values[i] + down[:, None] * (values[below] - values[i])
-        j = np.floor(self.column).astype(int)
-        beside = np.minimum(j + 1, values.shape[1] - 1)
-        return rows[:, j] + (self.column - j) * (rows[:, beside] - rows[:, j])
+        j = np.clip(np.floor(self.column).astype(int), 0, values.shape[1] - 2)
+        return rows[:, j] + (self.column - j) * (rows[:, j + 1] - rows[:, j])
 
     def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows of cells before and behind the pixels, and the way between them; on at the rim."""
         n, i = self.cells.shape[0], np.floor(self.row).astype(int)
-        below = (i + 1) % n if self.cells.periodic else np.minimum(i + 1, n - 1)
-        return i, below, self.row - i
+        if not self.cells.periodic:
+            i = np.clip(i, 0, n - 2)
+        return i, (i + 1) % n, self.row - i
 
 
 def smooth_cells(r: np.ndarray, steps: np.ndarray, cells: CylinderGrid) -> np.ndarray:

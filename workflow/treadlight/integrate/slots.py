@@ -50,7 +50,9 @@ _MIDDLE = 0.9
 # Of the rows that are seen: what fills more of a column runs around the tire, as a groove's lip or
 # the rim of what is seen.
 _AROUND = 0.5
-# A lip and its blur are so wide on either side.
+# Blocks repeat around a tire about so often: a cut is a small part of it, a lip nearly all.
+_PITCH_MM = 35.0
+# A lip and its blur are half as wide.
 _LIP_CELLS = 7
 # Of a slot's cells: less is tilted tread with some shadow.
 _SEEN_SHARE = 0.25
@@ -122,12 +124,12 @@ def close_cuts(
     lines = _cut_lines(cues.dark, laser, lost, grid)
     broken = _breaks(cues, grid) | (lines > 0)
     seen = _seen_rows(cues.dark)
-    over = _bridge(start, broken, seen, spacing, std, laser, depth, grid)
+    over = _bridge(start, broken, seen, std, laser, depth, grid)
     nowhere = np.zeros(grid.shape, bool)
 
     def crossing(cut: np.ndarray) -> np.ndarray:
         # A slot's mouth goes on through the lip.
-        mouth = ndimage.maximum_filter1d(_briefly(cut, seen, spacing, grid), _LIP_CELLS, axis=1)
+        mouth = ndimage.maximum_filter1d(_briefly(cut, seen, grid), _LIP_CELLS, axis=1)
         return cut & (mouth | (lines > 0))
 
     slots, met = _slots(cues, lines, nowhere, crossing(over.cut), laser, lost, grid)
@@ -146,7 +148,7 @@ def close_cuts(
     )
     if hidden.any():
         broken |= ndimage.maximum_filter(hidden, 3, mode=grid.filter_mode)
-        over = _bridge(start, broken, seen, spacing, std, laser, depth, grid)
+        over = _bridge(start, broken, seen, std, laser, depth, grid)
         slots, met = _slots(cues, lines, hidden, crossing(over.cut), laser, lost, grid)
     below = over.r[laser.row, laser.column] - laser.value
     deep = below > _OFF_SIGMA * np.hypot(std, laser.std)
@@ -181,7 +183,6 @@ def _bridge(
     start: np.ndarray,
     broken: np.ndarray,
     seen: np.ndarray,
-    spacing: float,
     std: float,
     laser: LaserCells,
     depth: Callable[[np.ndarray], np.ndarray],
@@ -196,13 +197,11 @@ def _bridge(
     kept = off | (np.arange(len(off)) < count)
     sections, off = sections.select(kept), off[kept]
     # Along a groove's lip there is nothing to interpolate from: most of its column is broken.
-    closed, _ = _interpolated(
-        start, _briefly(patches.mask, seen, spacing, grid), off, sections, grid
-    )
+    closed, _ = _interpolated(start, _briefly(patches.mask, seen, grid), off, sections, grid)
     # Grooves that run around the tire are drawn well by the sections: they stay.
     tread = depth(closed) < _GROOVE_DEPTH
     cut = find_patches(patches.mask & tread, grid).mask
-    crossing = _briefly(cut, seen, spacing, grid)
+    crossing = _briefly(cut, seen, grid)
     closed, bridged = _interpolated(start, crossing, off, sections, grid)
     return _Bridged(closed, bridged, cut, tread, ~off[:count])
 
@@ -257,17 +256,19 @@ def _across(mask: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return mask & (np.count_nonzero(mask[seen], axis=0) <= _AROUND * np.count_nonzero(seen))
 
 
-def _briefly(mask: np.ndarray, seen: np.ndarray, spacing: float, grid: CylinderGrid) -> np.ndarray:
-    """The part of a mask (n, m) that has tread beside it along theta.
+def _briefly(mask: np.ndarray, seen: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """The part of a mask (n, m) that has tread beside it along theta, in the rows seen (n,).
 
-    Neither a groove's lip all around nor, from slot to slot, a part of it: over three sections'
-    distance most of its column is in the mask.
+    Neither a groove's lip all around nor, from slot to slot, a part of it: over a tread's pitch
+    it fills most of its column.
     """
-    size = 2 * round(_SECTIONS / 2 * spacing) + 1
-    share = ndimage.uniform_filter1d(
-        mask.astype(np.float32), size, axis=0, mode=grid.filter_mode[0]
+    size = 2 * round(_PITCH_MM / 2 / (grid.step_theta * grid.nominal_radius_mm)) + 1
+    mode = "wrap" if grid.periodic else "constant"
+    inside, every = (
+        ndimage.uniform_filter1d(x.astype(np.float32), size, axis=0, mode=mode)
+        for x in (mask, np.ones((len(mask), 1)))
     )
-    return _across(mask, seen) & (share < _AROUND)
+    return _across(mask, seen) & (inside < _AROUND * every)
 
 
 def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.ndarray:
