@@ -185,3 +185,14 @@ def test_cells_of_which_nothing_is_known_are_empty(products):
     refused = 1 << profile.quality.attrs["flag_meanings"].split().index("refused")
     assert (profile.quality[45:] & refused).all()
     assert not (profile.quality[:25] & refused).any()
+
+
+def test_normals_without_sections_still_tell_how_well_they_are_met(products, rng):
+    laser = store.open_store(products / "laser.zarr").load()
+    laser["r"][:] = np.nan
+    store.write_store(products / "laser.zarr", laser, title="l", source="t1-0")
+    view = write_view(products, 0, 0.0, 0.3, rng)
+    assert integrate(products, "--views", view) == 0
+    report = json.loads((products / "quality.json").read_text())
+    assert report["laser_points"] == 0
+    assert 0 <= report["normal_residual"]["median"] < 0.01

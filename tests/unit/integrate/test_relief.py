@@ -161,17 +161,38 @@ def test_bands_are_what_all_pixels_at_once_are(capture, found, profile):
     np.testing.assert_allclose(parts.normal, profile.normal, atol=0.02)
 
 
-def test_a_plane_is_a_plane_between_cells():
+def test_a_wave_around_a_whole_turn_is_one_between_cells():
     grid = CylinderGrid.whole_turn((0.0, 12.0), 1.0, 20.0)
     cells = solved_grid(grid, 3)
-    plane = 2.0 * cells.z + 0 * cells.theta[:, None]
     up = Upsampled.between(cells, grid)
-    inner = slice(1, -2)
-    expected = np.broadcast_to(2.0 * grid.z[inner], (grid.shape[0], len(grid.z[inner])))
-    np.testing.assert_allclose(up.linear(plane)[:, inner], expected, atol=1e-9)
     wave = np.cos(cells.theta)[:, None] + 0 * cells.z
     assert np.abs(up.linear(wave) - np.cos(grid.theta)[:, None]).max() < 0.02
     np.testing.assert_allclose(up.along(wave[:, 0]), up.linear(wave)[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1250, 2995, 3000, 3005])
+def test_bands_over_a_turns_end_lie_among_its_cells(n):
+    """Where the first pixel's row comes out a rounding error below zero."""
+    theta = -np.pi + np.arange(n) * (2 * np.pi / n)
+    grid = CylinderGrid(theta, np.arange(4.0), 300.0)
+    cells = solved_grid(grid, 5)
+    values = np.cos(cells.theta)
+    bands = list(bands_of(grid, 5, 4 * n // 3))
+    assert len(bands) > 2
+    for band in bands:
+        up = Upsampled.between(cells, band.grid)
+        np.testing.assert_allclose(up.along(values), np.cos(band.grid.theta), atol=1e-4)
+        nearest = up.nearest(values[:, None] + np.zeros(cells.shape[1]))[:, 0]
+        assert np.abs(nearest - np.cos(band.grid.theta)).max() < 0.51 * cells.step_theta
+
+
+def test_the_rim_of_the_last_cells_goes_on_as_they_rise():
+    grid = CylinderGrid.sector((0.0, 0.1), (0.0, 9.0), 0.2, 100.0)
+    cells = solved_grid(grid, 5)
+    up = Upsampled.between(cells, grid)
+    rise = 0.3 * cells.z + 7.0 * cells.theta[:, None]
+    expected = 0.3 * grid.z + 7.0 * grid.theta[:, None]
+    np.testing.assert_allclose(up.linear(rise), expected, atol=1e-9)
 
 
 def test_cells_that_are_not_known_lend_nothing_to_those_beside():

@@ -9,7 +9,7 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate import FirstSurface, LaserSections, ViewNormals, integrate_capture
 from treadlight.integrate.gather import view_field
 from treadlight.integrate.laser import LaserCells, laser_cells
-from treadlight.integrate.slots import _cut_lines, close_cuts
+from treadlight.integrate.slots import _briefly, _cut_lines, close_cuts
 
 RADIUS = 300.0
 STEP = 0.5
@@ -220,6 +220,16 @@ def test_a_lip_that_is_broken_all_around_is_not_interpolated_from_a_slots_mouth(
     )  # fmt: skip
     away = np.r_[:24, 68:240]
     np.testing.assert_allclose(closed.r[away], RADIUS, atol=1e-9)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("last", [1, 6])
+def test_a_cut_at_a_grids_end_is_one_as_anywhere(periodic, last):
+    step = 2 * np.pi / 240 if periodic else STEP / RADIUS
+    grid = CylinderGrid(-np.pi + np.arange(240) * step, np.arange(0, 5, STEP), STEP / step)
+    mask = np.zeros(grid.shape, bool)
+    mask[-last:] = mask[100:106] = True
+    np.testing.assert_array_equal(_briefly(mask, np.ones(240, bool), grid), mask)
 
 
 def test_the_tread_is_where_sections_pass_by_the_slots_even_if_most_meet_one(rng):
