@@ -120,6 +120,32 @@ def test_slot_that_one_section_met_reaches_a_quarter_of_the_way(sections_of):
     assert surface.r_std[deep, z].max() > 1
 
 
+@pytest.mark.parametrize("last", [0, 29])
+def test_slot_that_the_last_section_met_does_not_go_on_beyond_it(sections_of, last):
+    """But for a quarter of the way to the next section, as between two."""
+    found = sections_of(lambda theta, z: np.full(np.shape(z), NOMINAL), TURN[:30])
+    found.r[last, 60:80] -= 7
+    view = Extent(-np.radians(62), np.radians(66), -40.0, 40.0)
+    grid = choose_grid(found, [view], 0.5, NOMINAL, 80.0)
+    surface = lay_surface(found, [view], grid, 0.6)
+    z = np.argmin(np.abs(grid.z - found.z[last, 70]))
+    deep = surface.r[:, z] < NOMINAL - 3
+    assert deep.sum() * grid.step_theta == pytest.approx(0.5 * np.radians(2), rel=0.15)
+    assert np.isfinite(surface.r[:, z]).all()
+    np.testing.assert_allclose(surface.r[~deep, z], NOMINAL, atol=0.01)
+
+
+def test_columns_in_which_no_section_agrees_go_on_as_the_nearest(sections_of):
+    found = sections_of(lambda theta, z: np.full(np.shape(z), NOMINAL), TURN[:30])
+    found.r[:, 60:80] += 10.0 * np.arange(30)[:, None]
+    view = Extent(-np.radians(62), np.radians(66), -40.0, 40.0)
+    grid = choose_grid(found, [view], 0.5, NOMINAL, 80.0)
+    surface = lay_surface(found, [view], grid, 0.6)
+    z = np.argmin(np.abs(grid.z - found.z[0, 70]))
+    ends = surface.r[[20, -20], z]
+    np.testing.assert_allclose(np.sort(ends), [NOMINAL, NOMINAL + 290], atol=0.1)
+
+
 def test_lines_that_no_section_sees_are_filled_along_z(sections_of, grooved):
     found = sections_of(grooved, TURN)
     found.r[:, 50:60] = np.nan

@@ -231,10 +231,17 @@ def fill_columns(row, r, variance, n_theta, periodic, spacing, reach, agree, dri
                     var[i, j] = spread[near] + bridge
                     quality[i, j] = INTERPOLATED | STEP
             elif min(to_a, to_b) <= 0.5 * reach:
+                inwards = -1 if to_a <= to_b else 1
                 near = ia if to_a <= to_b else ib
                 far = min(to_a, to_b) / spacing
-                surface[i, j] = value[near]
-                var[i, j] = spread[near] + drift * far * (1 + far)
+                # A slot that only the last section met goes on no further than towards the next.
+                told = near
+                while far > 0.5 - _LONE_SHIFT and alone[told] > 0 and 0 <= told + inwards < count:
+                    told += inwards
+                if alone[told] > 0:
+                    told = near
+                surface[i, j] = value[told]
+                var[i, j] = spread[told] + drift * far * (1 + far)
                 quality[i, j] = EXTRAPOLATED
         for k in range(count):
             cell = int(np.rint(at[k]))
