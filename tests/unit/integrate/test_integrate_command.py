@@ -187,12 +187,14 @@ def test_cells_of_which_nothing_is_known_are_empty(products):
     assert not (profile.quality[:25] & refused).any()
 
 
-def test_normals_without_sections_still_tell_how_well_they_are_met(products, rng):
+@pytest.mark.parametrize("cells", [16_000_000, 600])
+def test_normals_without_sections_still_tell_how_well_they_are_met(products, rng, cells):
     laser = store.open_store(products / "laser.zarr").load()
     laser["r"][:] = np.nan
     store.write_store(products / "laser.zarr", laser, title="l", source="t1-0")
     view = write_view(products, 0, 0.0, 0.3, rng)
-    assert integrate(products, "--views", view) == 0
+    settings = json.dumps({"held_out_every": 0, "most_cells": cells})
+    assert integrate(products, "--views", view, "--settings", settings) == 0
     report = json.loads((products / "quality.json").read_text())
     assert report["laser_points"] == 0
     assert 0 <= report["normal_residual"]["median"] < 0.01

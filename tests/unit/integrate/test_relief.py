@@ -1,5 +1,7 @@
 """Pixels finer than the cells: what they add, and what they must not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -168,6 +170,19 @@ def test_a_wave_around_a_whole_turn_is_one_between_cells():
     wave = np.cos(cells.theta)[:, None] + 0 * cells.z
     assert np.abs(up.linear(wave) - np.cos(grid.theta)[:, None]).max() < 0.02
     np.testing.assert_allclose(up.along(wave[:, 0]), up.linear(wave)[:, 0], atol=1e-12)
+
+
+def test_views_count_in_a_band_as_they_do_in_the_whole(capture, found):
+    """A band sees no more than a part of a view: where its middle is the solve knows."""
+    grid, sections, _, (view,) = capture
+    other = replace(view, material=0.5 * view.material)
+    half = np.linspace(0, 1, found.grid.shape[0])
+    shared = replace(found, blends=[half, 1 - half])
+    band = grid.part(np.arange(100, 200))
+    profile = profile_of(shared, [view, other], sections, band)
+    share = np.interp(band.theta, found.grid.theta, half)
+    expected = 0.3 * share + 0.15 * (1 - share)
+    np.testing.assert_allclose(profile.material[0][:, 50], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("n", [1250, 2995, 3000, 3005])

@@ -142,7 +142,7 @@ def profile_of(
     ----------
     found : Found
     views : sequence of View
-        Those whose slopes were solved.
+        Those whose slopes were solved, as many as the solve was given.
     sections : LaserSections
         All of their points.
     grid : CylinderGrid
