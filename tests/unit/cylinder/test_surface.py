@@ -7,6 +7,7 @@ from treadlight.cylinder import SURFACE_FLAGS, Extent, choose_grid, first_surfac
 from treadlight.cylinder.smoothing import shared_rows
 from treadlight.cylinder.surface import fill_columns
 from treadlight.geometry import CylinderGrid
+from treadlight.spool import Spool
 
 NOMINAL = 300.0
 LASER, INTERPOLATED, EXTRAPOLATED, STEP, NOMINAL_FLAG = (1 << k for k in range(5))
@@ -144,6 +145,20 @@ def test_columns_in_which_no_section_agrees_go_on_as_the_nearest(sections_of):
     z = np.argmin(np.abs(grid.z - found.z[0, 70]))
     ends = surface.r[[20, -20], z]
     np.testing.assert_allclose(np.sort(ends), [NOMINAL, NOMINAL + 290], atol=0.1)
+
+
+def test_a_surface_laid_some_columns_at_a_time_in_a_file_is_the_same(
+    sections_of, grooved, rng, monkeypatch, tmp_path
+):
+    found = sections_of(grooved, TURN[:20], noise=0.1, rng=rng)
+    found.r[:, 50:60] = np.nan
+    view = Extent(-np.radians(80), np.radians(60), -40.0, 40.0)
+    grid = choose_grid(found, [view], 1.0, NOMINAL, 80.0)
+    whole = lay_surface(found, [view], grid, 0.6)
+    monkeypatch.setattr("treadlight.cylinder.surface._COLUMNS", 7)
+    parts = lay_surface(found, [view], grid, 0.6, Spool(tmp_path))
+    for name in ("r", "r_std", "laser_r", "quality"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
 def test_lines_that_no_section_sees_are_filled_along_z(sections_of, grooved):

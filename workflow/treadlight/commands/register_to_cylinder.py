@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from treadlight.commands import common
+from treadlight.spool import IN_MEMORY, Memory, Spool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,9 +48,12 @@ def run(args: argparse.Namespace) -> int:
     def work() -> None:
         points = store.open_store(args.points).load()
         rig = store.read_rig(args.calibration)
-        laser, surface = register(points, rig, capture, settings)
-        store.write_store(laser_out, laser, title="Laser sections", source=capture.id)
-        store.write_store(surface_out, surface, title="First surface", source=capture.id)
+        memory = Spool(surface_out.parent)
+        laser, surface = register(points, rig, capture, settings, memory)
+        memory.release()
+        said = {"source": capture.id, "threads": args.threads, "memory": memory}
+        store.write_store(laser_out, laser, title="Laser sections", **said)
+        store.write_store(surface_out, surface, title="First surface", **said)
 
     return common.run_stage(
         args,
@@ -62,9 +66,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def register(
-    points: "xr.Dataset", rig: "Rig", capture: "Capture", settings: "CylinderSettings"
+    points: "xr.Dataset",
+    rig: "Rig",
+    capture: "Capture",
+    settings: "CylinderSettings",
+    memory: Memory | Spool = IN_MEMORY,
 ) -> "tuple[xr.Dataset, xr.Dataset]":
-    """laser.zarr and surface.zarr of one capture.
+    """laser.zarr and surface.zarr, its arrays in `memory`, of one capture.
 
     Raises
     ------
@@ -105,7 +113,7 @@ def register(
         sections, views, settings.step_mm or pixel, radius, capture.tire.tread_width_mm
     )
     line_mm = points.attrs.get("line_sigma_px", _LINE_SIGMA_PX) * pixel
-    surface = cylinder.lay_surface(sections, views, grid, line_mm)
+    surface = cylinder.lay_surface(sections, views, grid, line_mm, memory)
     shared = cylinder.shared_rows(sections, line_mm)
     tops = cylinder.on_tops(sections, find_regions(surface.r, grid))
     told = {"closure_mm": cylinder.closure_mm(sections, tops), "shared_rows": shared}

@@ -13,6 +13,7 @@ from treadlight.cylinder.registration import Sections
 from treadlight.cylinder.smoothing import resample_sections
 from treadlight.geometry import CylinderGrid
 from treadlight.geometry.axis import wrap_angle
+from treadlight.spool import IN_MEMORY, Memory, Spool
 
 SURFACE_FLAGS = ("laser", "interpolated", "extrapolated", "step", "nominal")
 LASER, INTERPOLATED, EXTRAPOLATED, STEP, NOMINAL = (1 << k for k in range(len(SURFACE_FLAGS)))
@@ -27,6 +28,8 @@ _LONE_SHIFT = 0.25
 # Without a laser the tread lies within a new tire's tread depth of the nominal cylinder.
 _NOMINAL_STD_MM = 8.0
 _CLIPPING_ROUNDS = 10
+# Filled at a time.
+_COLUMNS = 512
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,11 @@ class Surface:
 
 
 def lay_surface(
-    sections: Sections, views: Sequence[Extent], grid: CylinderGrid, line_mm: float
+    sections: Sections,
+    views: Sequence[Extent],
+    grid: CylinderGrid,
+    line_mm: float,
+    memory: Memory | Spool = IN_MEMORY,
 ) -> Surface:
     """The first surface from whatever there is: sections, or views alone.
 
@@ -62,6 +69,8 @@ def lay_surface(
     grid : CylinderGrid
     line_mm : float
         Sigma of the laser line on the tread: nothing finer along z is in the sections.
+    memory : Memory or Spool
+        Where the surface lies.
     """
     if not np.isfinite(sections.r).any():
         return nominal_surface(grid)
@@ -69,7 +78,7 @@ def lay_surface(
     for view in views:
         middle = view.start + 0.5 * view.length
         seen |= np.abs(wrap_angle(grid.theta - middle)) <= 0.5 * (view.length + grid.step_theta)
-    return first_surface(sections, grid, line_mm, seen)
+    return first_surface(sections, grid, line_mm, seen, memory)
 
 
 def nominal_surface(grid: CylinderGrid) -> Surface:
@@ -84,7 +93,11 @@ def nominal_surface(grid: CylinderGrid) -> Surface:
 
 
 def first_surface(
-    sections: Sections, grid: CylinderGrid, line_mm: float, seen: np.ndarray | None = None
+    sections: Sections,
+    grid: CylinderGrid,
+    line_mm: float,
+    seen: np.ndarray | None = None,
+    memory: Memory | Spool = IN_MEMORY,
 ) -> Surface:
     """Interpolate the sections along theta at equal z, that is, along the grooves.
 
@@ -97,25 +110,35 @@ def first_surface(
         Sigma of the laser line on the tread: the scale of smoothing along z within a section.
     seen : (n_theta,) bool, optional
         Rows that a view sees, where the surface is carried on however far the sections are.
+    memory : Memory or Spool
+        Where the surface lies; besides it, a few hundred columns at a time are worked on.
     """
     row, r, variance = resample_sections(sections, grid, line_mm)
     spacing = _row_spacing(sections, grid)
     step = _usual_step(r)
     drift = max(0.0, step**2 - 2 * float(np.nanmedian(variance)))
-    n_theta = grid.shape[0]
-    seen = np.zeros(n_theta, bool) if seen is None else seen
-    reach = _REACH_SPACINGS * spacing
-    surface, var, laser, quality = fill_columns(
-        row, r, variance, n_theta, grid.periodic, spacing, reach, _AGREE_SIGMA * step, drift
-    )
-    _carry_to_views(surface, var, quality, seen, spacing, step, grid.periodic)
+    n_theta, n_z = grid.shape
+    told = (n_theta, grid.periodic, spacing, _REACH_SPACINGS * spacing, _AGREE_SIGMA * step, drift)
+    surface, var, laser = (memory.empty(grid.shape, np.float32) for _ in range(3))
+    quality = memory.empty(grid.shape, np.uint8)
+    blocks = [slice(first, first + _COLUMNS) for first in range(0, n_z, _COLUMNS)]
+    known = np.zeros(n_theta, bool)
+    for own in blocks:
+        filled = fill_columns(row[:, own], r[:, own], variance[:, own], *told)
+        for into, values in zip((surface, var, laser, quality), filled, strict=True):
+            into[:, own] = values
+        known |= np.isfinite(filled[0]).any(axis=1)
+        memory.release()
+    lost = ~known & (False if seen is None else seen)
+    if lost.any():
+        away = _rows_away(known, grid.periodic)[lost] / spacing
+        for own in blocks:
+            _carry_to_views(surface[:, own], var[:, own], quality[:, own], lost, away, step)
+            memory.release()
     _fill_along_z(surface, var, quality, r, drift, step)
-    return Surface(
-        surface.astype(np.float32),
-        np.sqrt(var).astype(np.float32),
-        laser.astype(np.float32),
-        quality,
-    )
+    memory.release()
+    np.sqrt(var, out=var)
+    return Surface(surface, var, laser, quality)
 
 
 def _row_spacing(sections: Sections, grid: CylinderGrid) -> float:
@@ -264,24 +287,22 @@ def _carry_to_views(
     surface: np.ndarray,
     var: np.ndarray,
     quality: np.ndarray,
-    seen: np.ndarray,
-    spacing: float,
+    lost: np.ndarray,
+    away: np.ndarray,
     step: float,
-    periodic: bool,
 ) -> None:
-    """Carry each column's median on to rows that a view sees but no section reaches, in place."""
-    known = np.isfinite(surface)
-    lost = seen & ~known.any(axis=1)
-    if not lost.any():
-        return
-    columns = known.any(axis=0)
+    """Carry each column's median on to rows that a view sees but no section reaches, in place.
+
+    Those rows `lost` (n,), of which each is so far `away` from the sections, in their distances.
+    """
+    columns = np.isfinite(surface).any(axis=0)
     # The median over theta is the tread's section of revolution, sipes and slots aside.
-    profile = np.full(surface.shape[1], np.nan)
-    profile[columns] = np.nanmedian(surface[:, columns], axis=0)
-    spread = np.full(surface.shape[1], np.nan)
-    spread[columns] = np.nanvar(surface[:, columns], axis=0) + step**2
+    profile, spread = np.full((2, surface.shape[1]), np.nan)
+    if columns.any():
+        known = surface[:, columns].astype(np.float64)
+        profile[columns] = np.nanmedian(known, axis=0)
+        spread[columns] = np.nanvar(known, axis=0) + step**2
     surface[lost] = profile
-    away = _rows_away(known.any(axis=1), periodic)[lost] / spacing
     var[lost] = spread + step**2 * away[:, None]
     quality[lost] |= np.where(columns, EXTRAPOLATED, 0).astype(np.uint8)
 
@@ -303,18 +324,19 @@ def _fill_along_z(
     step: float,
 ) -> None:
     """Fill cells between known ones along z by the nearest column plus the tread's own profile."""
-    known = np.isfinite(surface)
-    rows = known.any(axis=1)
     columns = np.isfinite(r).any(axis=0)
-    if known[rows].all() or not columns.any():
+    if not columns.any():
         return
     profile = np.full(surface.shape[1], np.nan)
     profile[columns] = np.nanmedian(r[:, columns], axis=0)
     index = np.arange(surface.shape[1])
     profile = np.interp(index, index[columns], profile[columns])
-    for i in np.flatnonzero(rows & ~known.all(axis=1)):
-        have = np.flatnonzero(known[i])
-        miss = np.flatnonzero(~known[i])
+    for i in range(len(surface)):
+        known = np.isfinite(surface[i])
+        if known.all() or not known.any():
+            continue
+        have = np.flatnonzero(known)
+        miss = np.flatnonzero(~known)
         right = np.clip(np.searchsorted(have, miss), 0, len(have) - 1)
         left = np.maximum(right - 1, 0)
         near = np.where(
