@@ -91,8 +91,10 @@ def summary(
     }
     whole_s = sum(scale[name] * stage["wall_s"] for name, stage in taken.items())
     whole_s += (_SECTIONS - sections) * section / cores
+    # Triangulating a dozen sections takes hardly more than the process itself.
+    process = taken["triangulate"]["peak_gib"]
     whole_gib = max(
-        turns * taken["register-to-cylinder"]["peak_gib"],
+        process + turns * (taken["register-to-cylinder"]["peak_gib"] - process),
         # Pixels are laid in bands; the cells of the turn are solved at once.
         taken["integrate"]["peak_gib"] + (turns - 1) * solved * _BYTES_OF_A_CELL / (1 << 30),
         *(stage["peak_gib"] for stage in taken.values()),

@@ -30,6 +30,7 @@ _NOMINAL_STD_MM = 8.0
 _CLIPPING_ROUNDS = 10
 # Filled at a time.
 _COLUMNS = 512
+_ROWS = 1024
 
 
 @dataclass(frozen=True)
@@ -135,9 +136,13 @@ def first_surface(
         for own in blocks:
             _carry_to_views(surface[:, own], var[:, own], quality[:, own], lost, away, step)
             memory.release()
-    _fill_along_z(surface, var, quality, r, drift, step)
-    memory.release()
-    np.sqrt(var, out=var)
+    usual = _usual_profile(r)
+    for first in range(0, n_theta, _ROWS):
+        rows = slice(first, first + _ROWS)
+        if usual is not None:
+            _fill_along_z(surface[rows], var[rows], quality[rows], usual, step)
+        np.sqrt(var[rows], out=var[rows])
+        memory.release()
     return Surface(surface, var, laser, quality)
 
 
@@ -315,22 +320,19 @@ def _rows_away(known: np.ndarray, periodic: bool) -> np.ndarray:
     return away[n : 2 * n] if periodic else away
 
 
-def _fill_along_z(
-    surface: np.ndarray,
-    var: np.ndarray,
-    quality: np.ndarray,
-    r: np.ndarray,
-    drift: float,
-    step: float,
-) -> None:
-    """Fill cells between known ones along z by the nearest column plus the tread's own profile."""
+def _usual_profile(r: np.ndarray) -> np.ndarray | None:
+    """Median (n_z,) of the sections (s, n_z), between known columns interpolated; None without."""
     columns = np.isfinite(r).any(axis=0)
     if not columns.any():
-        return
-    profile = np.full(surface.shape[1], np.nan)
-    profile[columns] = np.nanmedian(r[:, columns], axis=0)
-    index = np.arange(surface.shape[1])
-    profile = np.interp(index, index[columns], profile[columns])
+        return None
+    index = np.arange(r.shape[1])
+    return np.interp(index, index[columns], np.nanmedian(r[:, columns], axis=0))
+
+
+def _fill_along_z(
+    surface: np.ndarray, var: np.ndarray, quality: np.ndarray, profile: np.ndarray, step: float
+) -> None:
+    """Fill cells between known ones along z by the nearest column plus the tread's own profile."""
     for i in range(len(surface)):
         known = np.isfinite(surface[i])
         if known.all() or not known.any():

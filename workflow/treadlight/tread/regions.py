@@ -103,7 +103,7 @@ class Regions:
 
     def on_columns(self, z: np.ndarray) -> "Regions":
         """The same regions on other z columns, mm."""
-        nearest = np.abs(np.asarray(z)[:, None] - self.z[None, :]).argmin(axis=1)
+        nearest = np.rint(np.interp(z, self.z, np.arange(len(self.z)))).astype(int)
         floor = np.full(len(z), np.nan)
         floors = self.floor_of_column[nearest]
         for number in range(1, len(self.grooves) + 1):
