@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate import (
@@ -20,6 +21,7 @@ from treadlight.integrate import (
     width_of_cells,
 )
 from treadlight.integrate.edges import Photometry
+from treadlight.integrate.patches import Patches
 from treadlight.integrate.relief import Upsampled, add_relief, smooth_cells
 
 RADIUS = 300.0
@@ -170,6 +172,33 @@ def test_a_wave_around_a_whole_turn_is_one_between_cells():
     wave = np.cos(cells.theta)[:, None] + 0 * cells.z
     assert np.abs(up.linear(wave) - np.cos(grid.theta)[:, None]).max() < 0.02
     np.testing.assert_allclose(up.along(wave[:, 0]), up.linear(wave)[:, 0], atol=1e-12)
+
+
+def test_slots_are_cut_into_the_relief_as_deep_as_in_the_cells(capture, found):
+    """Their slopes, which are of the walls, do not tell of the tread that is closed over them."""
+    grid, sections, _, (view,) = capture
+    label = np.zeros(found.grid.shape, np.int32)
+    label[60:72, 5:25] = 1
+    closed = replace(
+        found.closed,
+        slots=Patches(label, 1),
+        opening=label.astype(np.float32),
+        met=np.ones(1, bool),
+    )
+    none = np.full(label.shape, np.nan)
+    depth, std = (np.where(label > 0, x, none) for x in (3.0, 0.4))
+    slotted = replace(found, closed=closed, depth=depth, depth_std=std)
+    up = Upsampled.between(found.grid, grid)
+    inside, beside = up.nearest(label > 0), up.nearest(ndimage.maximum_filter(label, 5) > 0)
+    tilted = view.normal.copy()
+    tilted[inside] = np.array([1, -0.8, 0.8]) / np.sqrt(2.28)
+    profile = profile_of(slotted, [replace(view, normal=tilted)], sections, grid)
+    floor = up.nearest(ndimage.minimum_filter(label, 3) > 0)
+    below = truth_on(grid) - profile.r
+    assert np.abs(below[floor] - 3.0).max() < 0.1
+    assert np.abs(below[~beside & tops_of(grid)]).max() < 0.2
+    np.testing.assert_allclose(profile.r_std[floor], 0.4, rtol=0.05)
+    assert not profile.photometric[floor].any()
 
 
 def test_views_count_in_a_band_as_they_do_in_the_whole(capture, found):

@@ -103,6 +103,7 @@ def integrate_products(
         settings.held_out_every,
     )
     joined = integrate.Joined(grid.shape, memory.empty)
+    # The cells are still held while a band's pixels, which take as much memory each, are laid.
     bands = list(integrate.bands_of(grid, width, settings.most_cells // 4))
     for band in common.progress(bands, f"{capture.id}: bands laid"):
         joined.add(integrate.profile_of(found, views, sections, band.grid, band.core), band)

@@ -152,9 +152,8 @@ def _hand_over(first, last, normal, covariance, material, shadowed, saturated, p
     for k in range(first, last):
         n_r = np.float64(normal[k, 0])
         p, q = -normal[k, 1] / n_r, -normal[k, 2] / n_r
-        steep = 1 + p * p + q * q
-        w_p = 1 / ((1 + p * p) ** 2 * steep * covariance[k, 0])
-        w_q = 1 / ((1 + q * q) ** 2 * steep * covariance[k, 2])
+        w_p = 1 / (_steepened(p, q) * covariance[k, 0])
+        w_q = 1 / (_steepened(q, p) * covariance[k, 2])
         channels[k] = 0
         if n_r > 0 and np.isfinite(p + q) and np.isfinite(w_p + w_q):
             channels[k, 0], channels[k, 1] = w_p * p, w_q * q
@@ -172,8 +171,15 @@ def slope_variance(slope: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     n_r follows from |n| = 1: dp = (1 + p^2) sqrt(1 + p^2 + q^2) dn_theta, and so for q. A wall's
     height is much less certain than a tread's.
     """
-    squared = slope**2
-    return (1 + squared) ** 2 * (1 + squared[0] + squared[1]) * tilt
+    p, q = slope
+    return np.stack([_steepened.py_func(p, q), _steepened.py_func(q, p)]) * tilt
+
+
+@kernel(inline="always")
+def _steepened(along, aside):
+    """Variance of the slope along an axis over that of the normal's component."""
+    squared = along * along
+    return (1 + squared) ** 2 * (1 + squared + aside * aside)
 
 
 def _field(total: np.ndarray, rows: np.ndarray, blend: np.ndarray) -> ViewField:
