@@ -382,13 +382,16 @@ def _off_tread(
     Where wide slots come in quick succession most sections meet one: those that pass by all cuts
     say where the tread is. Not so in grooves around the tire, by the usual `depth` (m,) of their
     columns: there a wear bar may be all that looks like tread, and no cut is beside their floors.
+    What a single section finds above one is a bar, whose ramps look like a cut's walls.
     """
     if not broken.count:
         return np.zeros(len(laser.value), bool)
     away = way_out(~broken.mask, grid)[laser.row, laser.column]
     depth = depth[laser.column]
     calm = (away > _BESIDE_CELLS) | (depth > _GROOVE_DEPTH)
-    deviation = np.abs(laser.value - _median_along(laser, calm, grid))
+    height = laser.value - _median_along(laser, calm, grid)
+    is_bar = (height > 0) & (depth > 1 - _GROOVE_DEPTH)
+    deviation = np.where(is_bar, 0, np.abs(height))
     usual = np.hypot(std, laser.std)
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
     beside = away <= _BESIDE_CELLS
