@@ -30,7 +30,7 @@ def edges_of(slope: np.ndarray, sides_mm: tuple[float, float], slope_std: float)
         known = np.isfinite(mean)
         _cut(step[axis], axis, 0)[known] = mean[known]
         _cut(weight[axis], axis, 0)[known] = 1 / (slope_std * side) ** 2
-    return Edges(step, weight, weight > 0)
+    return Edges(step, weight, weight > 0, np.zeros_like(weight))
 
 
 def poisson(edges: Edges, laser: LaserCells) -> np.ndarray:
@@ -67,7 +67,7 @@ def bilateral(edges: Edges, laser: LaserCells, slope: np.ndarray, sides_mm: tupl
             known = _cut(edges.weight[axis], axis, 0) > 0
             _cut(step[axis], axis, 0)[known] = (side * mean / total)[known]
             _cut(weight[axis], axis, 0)[known] *= total[known]
-        r = _solved(Edges(step, weight, edges.photometric), laser, r)
+        r = _solved(Edges(step, weight, edges.photometric, edges.mixed), laser, r)
     return r
 
 

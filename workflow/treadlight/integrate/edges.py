@@ -3,12 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.integrate.gather import ViewField
 from treadlight.threads import by_ranges
 from treadlight.tread.robust import robust_square
+
+# Slopes around a cell that differ this many times as much as they usually do are no texture.
+_TEXTURE = 4.0
 
 
 @dataclass(frozen=True)
@@ -79,11 +83,14 @@ class Edges:
         row of an open grid).
     photometric : (2, n, m) bool
         Whether the difference comes from normals on both sides; else it is the first surface's.
+    mixed : (2, n, m) float32
+        Part of the variance, mm^2, that comes from pixels that see two slopes.
     """
 
     step: np.ndarray
     weight: np.ndarray
     photometric: np.ndarray
+    mixed: np.ndarray
 
 
 def build_edges(
@@ -98,7 +105,8 @@ def build_edges(
 
     A photometric edge is the mean slope of its two cells times the distance of their centres
     (along theta at the surface's radius, because p is strictly d ln r / dtheta). Its variance is
-    that of one cell's slope, not half of it: along a path every cell counts once.
+    that of one cell's slope, not half of it: along a path every cell counts once. Added to it is
+    what pixels mix (`mixed_variance`).
 
     Parameters
     ----------
@@ -112,11 +120,41 @@ def build_edges(
     step = np.zeros(slope.shape, np.float32)
     weight = np.zeros(slope.shape, np.float32)
     photometric = np.zeros(slope.shape, bool)
+    mixed = mixed_variance(slope, grid)
     rules = (True, grid.periodic, grid.step_theta), (False, False, grid.step_z)
     for k, rule in enumerate(rules):
-        known = slope[k], variance[k], surface, first_step[k], first_std[k]
+        known = slope[k], variance[k] + mixed[k], surface, first_step[k], first_std[k]
         by_ranges(_fill, len(surface), 1, *known, *rule, step[k], weight[k], photometric[k])
-    return Edges(step, weight, photometric)
+    length = np.array([grid.step_theta * grid.nominal_radius_mm, grid.step_z], np.float32)
+    return Edges(step, weight, photometric, mixed * length[:, None, None] ** 2)
+
+
+def mixed_variance(slope: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """What no pixel's covariance knows: of two slopes that it sees it shows more of the brighter.
+
+    Of a ramp a few cells wide up to two thirds are lost so, all along it. Where slopes around a
+    cell differ more than the tread's texture does, they are as uncertain as they differ.
+
+    Parameters
+    ----------
+    slope : (2, n, m) float32
+    grid : CylinderGrid
+
+    Returns
+    -------
+    (2, n, m) float32
+    """
+    variance = np.zeros(slope.shape, np.float32)
+    for axis, values in enumerate(slope):
+        known = np.isfinite(values)
+        if known.any():
+            above, below = (
+                ndimage.maximum_filter(np.where(known, x, -np.inf), 3, mode=grid.filter_mode)
+                for x in (values, -values)
+            )
+            apart = np.where(known, above + below, 0)
+            variance[axis] = np.maximum(apart - _TEXTURE * np.median(apart[known]), 0) ** 2
+    return variance
 
 
 @kernel

@@ -100,15 +100,18 @@ def integrate(problem: Problem, start: np.ndarray, start_std: float, noise_std: 
 def _shares(problem: Problem, r: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     edges, laser = problem.edges, problem.laser
     share = np.empty(edges.step.shape, np.float32)
-    known = r, edges.step, edges.weight, edges.photometric
+    known = r, edges.step, edges.weight, edges.photometric, edges.mixed
     by_ranges(_edge_share, len(r), 1, *known, scale, (_SCALE / scale) ** 2, share)
     miss = (laser.value - r[laser.row, laser.column]) / laser.std
     return share, 1 / np.sqrt(1 + (miss / _LASER_SCALE) ** 2)
 
 
 @kernel
-def _edge_share(first, last, r, step, weight, photometric, scale, most, share):
-    """Geman-McClure's weight relative to the edge's own, which counts as `most` at the most."""
+def _edge_share(first, last, r, step, weight, photometric, mixed, scale, most, share):
+    """Geman-McClure's weight relative to the edge's own, which counts as `most` at the most.
+
+    A slope that pixels mix may miss by as much as that makes it uncertain, and is no step yet.
+    """
     n, m = r.shape
     for i in range(first, last):
         below = i + 1 if i < n - 1 else 0
@@ -125,7 +128,7 @@ def _edge_share(first, last, r, step, weight, photometric, scale, most, share):
                     # Cauchy's: what is interpolated bends to what is measured.
                     share[k, i, j] = 1 / (1 + miss * miss * w / (_SCALE * _SCALE))
                     continue
-                x = miss * miss / (scale * scale)
+                x = miss * miss / (scale * scale + mixed[k, i, j])
                 part = min(1.0, most / w) / ((1 + x) * (1 + x))
                 share[k, i, j] = max(part, _LEAST_SHARE)
 
