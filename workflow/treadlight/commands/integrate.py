@@ -96,7 +96,7 @@ def integrate_products(
     width = integrate.width_of_cells(grid, settings.most_cells)
     cells = integrate.solved_grid(grid, width)
     found = integrate.solve_capture(
-        common.progress(views, f"{capture.id}: views gathered", len(views), 0),
+        _Watched(views, f"{capture.id}: views gathered"),
         integrate.thinned(sections, width),
         _first_surface(surface, *integrate.sampled(grid, cells)),
         cells,
@@ -209,6 +209,17 @@ def stored_view(path: Path, capture: "Capture", rig: "Rig") -> "StoredView":
 
     number = int(store.store_folder(path).name.removeprefix("fov"))
     return StoredView(store.open_store(path), camera_centre(capture, number, rig))
+
+
+class _Watched(list["StoredView"]):
+    """Views that say how many of them are done, each time that they are gone through."""
+
+    def __init__(self, views: "list[StoredView]", label: str) -> None:
+        super().__init__(views)
+        self._label = label
+
+    def __iter__(self) -> "Iterator[StoredView]":
+        return common.progress(super().__iter__(), self._label, len(self), 0)
 
 
 class StoredView:

@@ -125,6 +125,22 @@ class Case:
             shared_columns(fields, laser, self.walls, self.shared_rows, self.spacing, self.grid),
         )
 
+    def seen_on(self, views: Iterable[View], r: np.ndarray) -> "Case":
+        """The case with its views placed on solved heights (n, m), mm.
+
+        What stands on a groove's floor between two sections, as a wear bar does, the first surface
+        does not know; seen obliquely on a floor, its ramps are a quarter too short or too long.
+        """
+        seen = placed_fields(views, r, self.grid)
+        fields = [outside(field, self.closed.reach) for field in seen if field is not None]
+        return replace(
+            self,
+            fields=fields,
+            noise=_noise_std(merge_views(fields, self.grid), self.grid),
+            leans=[np.zeros(self.grid.shape[1])] * len(fields),
+            blends=[_blend_of(field, self.grid) for field in seen],
+        )
+
     def upright(self, r: np.ndarray) -> "Case":
         """The case with ribs set upright that heights (n, m) show to lean."""
         told = self.laser.select(self.closed.on_tread)
@@ -314,11 +330,14 @@ class Found:
     proof: HeldOut
 
 
-def solve_case(case: Case, out: np.ndarray) -> Found:
-    """Heights from all sections, after a proof by those of a mask (s,)."""
+def solve_case(case: Case, views: Iterable[View], out: np.ndarray) -> Found:
+    """Heights from all sections, after a proof by those of a mask (s,).
+
+    `views` are those of the case, which are placed anew on what the proof found.
+    """
     grid, closed, laser = case.grid, case.closed, case.laser
     proof, factor, first_r = _prove(case, out)
-    case = case.upright(first_r)
+    case = case.seen_on(views, first_r).upright(first_r)
     solved = case.solve(laser.select(closed.on_tread))
     photometry, solution = solved.photometry, solved.solution
     std = (factor * solved.std(grid)).astype(np.float32)

@@ -1,6 +1,6 @@
 """The whole integration of one capture: sections, views and first surface in, profile out."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,18 +103,18 @@ def integrate_capture(
 
 
 def solve_capture(
-    views: Iterable[View],
+    views: Collection[View],
     sections: LaserSections,
     surface: FirstSurface,
     cells: CylinderGrid,
     held_out_every: int,
-    instead: Iterable[View] | None = None,
+    instead: Collection[View] | None = None,
 ) -> Found:
     """The surface of a capture on cells that may be wider than its pixels.
 
     Solved twice: without the held-out sections, to compare with them, and then with all, since a
     block that a single section crosses would lose its height with it. The figures of the
-    comparison are so on the safe side.
+    comparison are so on the safe side. The views are gone through once for each.
 
     Parameters
     ----------
@@ -126,7 +126,8 @@ def solve_capture(
         See `integrate_capture`.
     """
     out = held_out(len(sections.r), held_out_every)
-    return solve_case(prepare(views, sections, surface, cells, instead), out)
+    case = prepare(views, sections, surface, cells, instead)
+    return solve_case(case, views if instead is None else instead, out)
 
 
 def profile_of(
