@@ -19,11 +19,13 @@ class Tire:
     grooves: tuple[float, ...] = (-18.0, 18.0)
     depth: float = 8.0
     blocks: np.ndarray = field(default_factory=lambda: _block_edges())
+    texture_mm: float = 0.0
 
     def radius(self, theta, z, wear=0.0):
         """mm, of broadcast theta (rad) and z (mm)."""
         theta, z = np.broadcast_arrays(theta, z)
         floor = RADIUS - 4e-4 * z**2 + 0.1 * np.cos(theta) + 0.05 * np.sin(2 * theta)
+        floor = floor + self.texture_mm * _texture(theta * RADIUS, z)
         cut = _groove(theta, z, self.blocks)
         for centre in self.grooves:
             cut = np.maximum(cut, _box(z - centre, 4.0))
@@ -41,6 +43,14 @@ class Tire:
             loss = wear(theta_1, z_1) if callable(wear) else wear
             r = r + self.radius(theta_1, z_1, loss) - r_1
         return r
+
+
+def _texture(arc, z):
+    """Waves of 2 to 4 mm in all directions, that close around the tire; of unit variance."""
+    rng = np.random.default_rng(6)
+    around, along = rng.integers(150, 300, 12) / RADIUS, rng.uniform(-2.5, 2.5, 12)
+    waves = zip(around, along, rng.uniform(0, 2 * np.pi, 12), strict=True)
+    return sum(np.sin(k * arc + q * z + phase) for k, q, phase in waves) / np.sqrt(6)
 
 
 def _block_edges():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from treadlight.wear import Surface, align, relief_from
+from treadlight.wear import Motion, Surface, align, relief_from
 from treadlight.wear.alignment import Alignment
 
 
@@ -94,6 +94,32 @@ def test_without_grooves_the_pattern_still_gives_rotation_and_axial_shift(
     assert found.reason is None
     assert abs(found.motion.values[0] - 0.8) < np.deg2rad(0.05)
     assert found.groove_std_mm == 0.0
+
+
+def test_the_floors_texture_tells_what_walls_in_whole_cells_do_not(
+    make_tire, make_grid, make_remount
+):
+    """Walls stand 0.6 mm off in some parts of the turn, 0.1 mm elsewhere."""
+    grid, motion = make_grid("whole"), make_remount(1.9)
+    far, near = (
+        Motion(motion.values + np.array([0, shift, 0, 0, 0, 0, 0])) for shift in (0.6, 0.1)
+    )
+    aside = (np.floor(grid.theta / np.pi * 6) % 2 == 0)[:, None]
+
+    def profile(tire, mount):
+        walls = np.where(aside, tire.mileage(grid, far), tire.mileage(grid, near))
+        true = tire.mileage(grid, mount)
+        r = np.where(walls < true.max() - 7.0, true, walls)
+        noise = 0.02 * np.random.default_rng(1).standard_normal(grid.shape)
+        return relief_from(Surface.of_arrays(r + noise, np.full(grid.shape, 0.02), grid))
+
+    errors = []
+    for texture_mm in (0.0, 0.05):
+        tire = make_tire(texture_mm=texture_mm)
+        found = align(relief(tire, grid), profile(tire, motion))
+        errors.append(found.motion.values[1] - motion.values[1])
+    assert errors[0] > 0.1
+    assert abs(errors[1]) < 0.05
 
 
 def test_identity_is_certain():

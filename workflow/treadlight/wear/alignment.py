@@ -1,5 +1,6 @@
 """Alignment of a remounted tire on surfaces that wear cannot have touched."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from treadlight.geometry import CylinderGrid
 from treadlight.tread.robust import block_medians
 from treadlight.wear.coarse import Candidate, find_candidates
 from treadlight.wear.motion import PARAMETERS, Motion, resample
-from treadlight.wear.relief import Relief, patterns, smooth
+from treadlight.wear.relief import Relief, floor_texture, patterns, smooth
 
 # Gaussian widths (mm) at which the patterns are compared, from a match within 2 mm to the last,
 # and the most edge pixels of each: enough for micrometres at the end, few enough for seconds.
@@ -32,6 +33,9 @@ _TILE_MM = 30.0
 # Another place of a tire with three pitches correlates up to 0.75 without any noise, a profile of
 # the laser alone (0.13 mm of noise) on its own place 0.86 to 0.87.
 _LEAST_CORRELATION = 0.8
+# Floors whose textures correlate less are dirty or only noise: two captures of one tire reach
+# 0.7 to 0.97, other places of it 0.02.
+_SAME_TEXTURE = 0.4
 
 
 @dataclass(frozen=True)
@@ -71,11 +75,12 @@ def align(first: Relief, current: Relief) -> Alignment:
     """Find how the tire sits differently from its first capture.
 
     Rotation and axial shift are found over the full circle by correlation of the tread patterns,
-    then all seven parameters by Gauss-Newton on two kinds of observations: the patterns'
+    then all seven parameters by Gauss-Newton on three kinds of observations: the patterns'
     edges at fixed heights (Lucas-Kanade, coarse to fine: they give rotation, axial shift and, by
-    skew, tilts and off-centres) and medians of radial differences on groove floors (tilts,
-    off-centres, radial). Tukey's biweight in both; their relative weight follows from how
-    much their errors go together within tiles.
+    skew, tilts and off-centres), medians of radial differences on groove floors (tilts,
+    off-centres, radial), and at last the floors' texture, where both captures show the same
+    (likewise): a wall has its place in whole cells, texture between them. Tukey's biweight in
+    all; their relative weight follows from how much their errors go together within tiles.
 
     Returns
     -------
@@ -92,19 +97,25 @@ def align(first: Relief, current: Relief) -> Alignment:
     levels = [(max(sigma_mm, cell_mm), most) for sigma_mm, most in _LEVELS]
     level = _Edges(first, current.grid, pair, *levels[0])
     # The first level picks the candidate; the others are costly and would not change it.
-    fits = [_refine(_start(c), level, floors, _FIRST_ITERATIONS) for c in candidates]
+    fits = [_refine(_start(c), (level, floors), _FIRST_ITERATIONS) for c in candidates]
     fit = max(fits, key=lambda f: level.correlation(f.motion))
     for sigma_mm, most in levels[1:]:
         level = _Edges(first, current.grid, pair, sigma_mm, most)
-        fit = _refine(fit.motion, level, floors, _ITERATIONS)
-    motion = fit.motion.normalised()
-    correlation = level.correlation(motion)
+        fit = _refine(fit.motion, (level, floors), _ITERATIONS)
+    correlation = level.correlation(fit.motion)
     if not correlation > _LEAST_CORRELATION:
         return Alignment.failed(
             "Its tread pattern matches the first capture's nowhere "
             f"(best correlation {max(correlation, 0.0):.2f}), as if they showed different sectors."
         )
-    return Alignment(motion, fit.covariance, correlation, floors.groove_std(motion))
+    textures = floor_texture(first), floor_texture(current)
+    for sigma_mm, most in levels[1:]:
+        texture = _Edges(first, current.grid, textures, sigma_mm, most)
+        closer = _refine(fit.motion, (level, floors, texture), _ITERATIONS)
+        if texture.correlation(closer.motion) > _SAME_TEXTURE:
+            fit = closer
+    motion = fit.motion.normalised()
+    return Alignment(motion, fit.covariance, level.correlation(motion), floors.groove_std(motion))
 
 
 def _start(candidate: Candidate) -> Motion:
@@ -129,7 +140,7 @@ class _Fit:
 
 
 class _Edges:
-    """Differences of the two smoothed patterns at the first one's edges."""
+    """Differences of two smoothed patterns, or textures, where the first one is steepest."""
 
     def __init__(
         self,
@@ -308,7 +319,7 @@ def _without_column_means(values: np.ndarray, column: np.ndarray) -> np.ndarray:
     return values - (np.bincount(column, values) / count)[column]
 
 
-def _refine(motion: Motion, edges: _Edges, floors: _Floors, iterations: int) -> _Fit:
+def _refine(motion: Motion, parts: Sequence[_Edges | _Floors], iterations: int) -> _Fit:
     prior = np.diag((_UNIT / _PRIOR_STD) ** 2)
     # Rotation and axial shift have no prior, only a pivot where nothing shows them.
     prior += 1e-9 * np.eye(len(PARAMETERS))
@@ -316,8 +327,8 @@ def _refine(motion: Motion, edges: _Edges, floors: _Floors, iterations: int) -> 
     for _ in range(iterations):
         right = -prior @ (motion.values * _UNIT_PRIOR)
         normal, meat = prior.copy(), prior.copy()
-        for observations in (edges.observe(motion), floors.observe(motion)):
-            n, b, m = _normal_equations(observations)
+        for part in parts:
+            n, b, m = _normal_equations(part.observe(motion))
             normal, right, meat = normal + n, right + b, meat + m
         inverse = np.linalg.inv(normal)
         change = _UNIT * (inverse @ right)

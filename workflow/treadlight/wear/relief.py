@@ -14,6 +14,8 @@ from treadlight.tread import FLOOR, GrooveReference, Regions, find_regions, fit_
 _BAND = (0.1, 0.85)
 # Without grooves the band hangs below the tops, where it keeps clear of their texture.
 _BAND_BELOW_TOPS_MM = (-2.5, -0.8)
+# Of the Gaussian that takes shape out of the floors' texture: half as wide as a floor.
+_TEXTURE_MM = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,22 @@ def patterns(first: Relief, second: Relief) -> tuple[np.ndarray, np.ndarray]:
         heights = [x.r - x.regions.crown - o for x, o in zip(both, runouts, strict=True)]
     one, other = (np.clip((height - low) / (high - low), 0.0, 1.0) for height in heights)
     return one, other
+
+
+def floor_texture(relief: Relief) -> np.ndarray:
+    """What stands out on the grooves' floors along theta: (n, m) mm, NaN elsewhere.
+
+    Along theta alone: what is alike all around, such as a floor's rounded corners, has its place in
+    the cells of the grid and would hold the tire there.
+    """
+    r = np.where(relief.floor, relief.r, np.nan)
+    known = np.isfinite(r)
+    sigma = _TEXTURE_MM / (relief.grid.step_theta * relief.grid.nominal_radius_mm)
+    weight, mean = (
+        ndimage.gaussian_filter1d(x, sigma, axis=0, mode=relief.grid.filter_mode[0])
+        for x in (known.astype(np.float64), np.where(known, r, 0.0))
+    )
+    return r - mean / np.maximum(weight, 1e-6)
 
 
 def smooth(
