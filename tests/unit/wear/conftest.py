@@ -25,7 +25,8 @@ class Tire:
         """mm, of broadcast theta (rad) and z (mm)."""
         theta, z = np.broadcast_arrays(theta, z)
         floor = RADIUS - 4e-4 * z**2 + 0.1 * np.cos(theta) + 0.05 * np.sin(2 * theta)
-        floor = floor + self.texture_mm * _texture(theta * RADIUS, z)
+        if self.texture_mm:
+            floor = floor + self.texture_mm * _texture(theta * RADIUS, z)
         cut = _groove(theta, z, self.blocks)
         for centre in self.grooves:
             cut = np.maximum(cut, _box(z - centre, 4.0))
@@ -48,9 +49,9 @@ class Tire:
 def _texture(arc, z):
     """Waves of 2 to 4 mm in all directions, that close around the tire; of unit variance."""
     rng = np.random.default_rng(6)
-    around, along = rng.integers(150, 300, 12) / RADIUS, rng.uniform(-2.5, 2.5, 12)
-    waves = zip(around, along, rng.uniform(0, 2 * np.pi, 12), strict=True)
-    return sum(np.sin(k * arc + q * z + phase) for k, q, phase in waves) / np.sqrt(6)
+    around, along = rng.integers(150, 300, 60) / RADIUS, rng.uniform(-2.5, 2.5, 60)
+    waves = zip(around, along, rng.uniform(0, 2 * np.pi, 60), strict=True)
+    return sum(np.sin(k * arc + q * z + phase) for k, q, phase in waves) / np.sqrt(30)
 
 
 def _block_edges():

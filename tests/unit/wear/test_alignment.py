@@ -4,6 +4,8 @@ import pytest
 from treadlight.wear import Motion, Surface, align, relief_from
 from treadlight.wear.alignment import Alignment
 
+RADIUS = 100.0
+
 
 def relief(tire, grid, motion=None, wear=0.0, noise=0.02, seed=0, spoil=None):
     rng = np.random.default_rng(seed)
@@ -118,8 +120,30 @@ def test_the_floors_texture_tells_what_walls_in_whole_cells_do_not(
         tire = make_tire(texture_mm=texture_mm)
         found = align(relief(tire, grid), profile(tire, motion))
         errors.append(found.motion.values[1] - motion.values[1])
+    # Without texture the walls lead astray, else this would show nothing.
     assert errors[0] > 0.1
     assert abs(errors[1]) < 0.05
+
+
+def test_ripples_of_the_rig_are_no_texture_of_the_tire(tire, make_grid, make_remount):
+    """Sections every 4 mm leave scallops that stay with the rig, whatever the tire's rotation."""
+    grid, motion = make_grid("whole"), make_remount(1.9)
+    periods = round(2 * np.pi * RADIUS / 4.0)
+
+    def rippled(r, rng):
+        r += 0.03 * np.cos(periods * grid.theta)[:, None]
+
+    def fit(spoil):
+        return align(
+            relief(tire, grid, spoil=spoil),
+            relief(tire, grid, motion, uneven, seed=1, spoil=spoil),
+        )
+
+    plain, found = fit(None), fit(rippled)
+    std = np.sqrt(np.diag(found.covariance))
+    assert np.abs(found.motion.values - motion.values)[0] < 1e-4
+    # Were it taken for texture, the rotation would be told three times as certain as it is.
+    assert std[0] > 0.6 * np.sqrt(plain.covariance[0, 0])
 
 
 def test_identity_is_certain():

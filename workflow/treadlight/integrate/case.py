@@ -12,7 +12,13 @@ from treadlight.integrate import prior
 from treadlight.integrate.bias import lean_of_ribs, remove_bias
 from treadlight.integrate.confirm import confirm
 from treadlight.integrate.depths import slot_depths
-from treadlight.integrate.edges import Photometry, build_edges, curl_scale, merge_views
+from treadlight.integrate.edges import (
+    Photometry,
+    build_edges,
+    curl_scale,
+    merge_views,
+    mixed_variance,
+)
 from treadlight.integrate.gather import View, ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, laser_cells
 from treadlight.integrate.path_errors import shared_columns, with_path_variance
@@ -125,11 +131,12 @@ class Case:
             shared_columns(fields, laser, self.walls, self.shared_rows, self.spacing, self.grid),
         )
 
-    def seen_on(self, views: Iterable[View], r: np.ndarray) -> "Case":
+    def placed_on(self, views: Iterable[View], r: np.ndarray) -> "Case":
         """The case with its views placed on solved heights (n, m), mm.
 
         What stands on a groove's floor between two sections, as a wear bar does, the first surface
         does not know; seen obliquely on a floor, its ramps are a quarter too short or too long.
+        Cuts, the laser's points and the outline stay as the first placing left them.
         """
         seen = placed_fields(views, r, self.grid)
         fields = [outside(field, self.closed.reach) for field in seen if field is not None]
@@ -155,6 +162,7 @@ class Case:
         edges = build_edges(
             photometry.slope,
             photometry.variance,
+            mixed_variance(photometry.slope, self.grid),
             start,
             self.first_edges.step,
             self.first_edges.std,
@@ -337,7 +345,7 @@ def solve_case(case: Case, views: Iterable[View], out: np.ndarray) -> Found:
     """
     grid, closed, laser = case.grid, case.closed, case.laser
     proof, factor, first_r = _prove(case, out)
-    case = case.seen_on(views, first_r).upright(first_r)
+    case = case.placed_on(views, first_r).upright(first_r)
     solved = case.solve(laser.select(closed.on_tread))
     photometry, solution = solved.photometry, solved.solution
     std = (factor * solved.std(grid)).astype(np.float32)

@@ -84,7 +84,8 @@ class Edges:
     photometric : (2, n, m) bool
         Whether the difference comes from normals on both sides; else it is the first surface's.
     mixed : (2, n, m) float32
-        Part of the variance, mm^2, that comes from pixels that see two slopes.
+        Part of a photometric edge's variance along theta, mm^2, that comes from pixels that see two
+        slopes, as those of what stands across a groove. 0 along z: grooves' walls are steps.
     """
 
     step: np.ndarray
@@ -96,6 +97,7 @@ class Edges:
 def build_edges(
     slope: np.ndarray,
     variance: np.ndarray,
+    mixed: np.ndarray,
     surface: np.ndarray,
     first_step: np.ndarray,
     first_std: np.ndarray,
@@ -105,12 +107,13 @@ def build_edges(
 
     A photometric edge is the mean slope of its two cells times the distance of their centres
     (along theta at the surface's radius, because p is strictly d ln r / dtheta). Its variance is
-    that of one cell's slope, not half of it: along a path every cell counts once. Added to it is
-    what pixels mix (`mixed_variance`).
+    that of one cell's slope, not half of it: along a path every cell counts once.
 
     Parameters
     ----------
     slope, variance : (2, n, m) float
+    mixed : (2, n, m) float
+        More variance; see `mixed_variance`.
     surface : (n, m) float
         Complete first surface, mm.
     first_step, first_std : (2, n, m) float
@@ -120,13 +123,13 @@ def build_edges(
     step = np.zeros(slope.shape, np.float32)
     weight = np.zeros(slope.shape, np.float32)
     photometric = np.zeros(slope.shape, bool)
-    mixed = mixed_variance(slope, grid)
+    loose = np.zeros(slope.shape, np.float32)
     rules = (True, grid.periodic, grid.step_theta), (False, False, grid.step_z)
     for k, rule in enumerate(rules):
-        known = slope[k], variance[k] + mixed[k], surface, first_step[k], first_std[k]
-        by_ranges(_fill, len(surface), 1, *known, *rule, step[k], weight[k], photometric[k])
-    length = np.array([grid.step_theta * grid.nominal_radius_mm, grid.step_z], np.float32)
-    return Edges(step, weight, photometric, mixed * length[:, None, None] ** 2)
+        known = slope[k], variance[k], mixed[k], surface, first_step[k], first_std[k]
+        found = step[k], weight[k], photometric[k], loose[k]
+        by_ranges(_fill, len(surface), 1, *known, *rule, *found)
+    return Edges(step, weight, photometric, loose)
 
 
 def mixed_variance(slope: np.ndarray, grid: CylinderGrid) -> np.ndarray:
@@ -144,23 +147,24 @@ def mixed_variance(slope: np.ndarray, grid: CylinderGrid) -> np.ndarray:
     -------
     (2, n, m) float32
     """
-    variance = np.zeros(slope.shape, np.float32)
+    mixed = np.zeros(slope.shape, np.float32)
     for axis, values in enumerate(slope):
         known = np.isfinite(values)
         if known.any():
-            above, below = (
+            apart, below = (
                 ndimage.maximum_filter(np.where(known, x, -np.inf), 3, mode=grid.filter_mode)
                 for x in (values, -values)
             )
-            apart = np.where(known, above + below, 0)
-            variance[axis] = np.maximum(apart - _TEXTURE * np.median(apart[known]), 0) ** 2
-    return variance
+            apart += below
+            excess = apart - _TEXTURE * np.median(apart[known])
+            mixed[axis] = np.where(known, np.maximum(excess, 0) ** 2, 0)
+    return mixed
 
 
 @kernel
 def _fill(
-    first, last, slope, variance, surface, first_step, first_std, along_theta, periodic, spacing,
-    step, weight, known,
+    first, last, slope, variance, mixed, surface, first_step, first_std, along_theta, periodic,
+    spacing, step, weight, known, loose,
 ):  # fmt: skip
     n, m = surface.shape
     for i in range(first, last):
@@ -179,8 +183,10 @@ def _fill(
             mean = 0.5 * (slope[i, j] + slope[a, b])
             if np.isfinite(mean):
                 step[i, j] = length * mean
-                spread = 0.5 * (variance[i, j] + variance[a, b])
+                more = 0.5 * (mixed[i, j] + mixed[a, b])
+                spread = 0.5 * (variance[i, j] + variance[a, b]) + more
                 weight[i, j] = 1 / (length * length * spread)
+                loose[i, j] = length * length * more if along_theta else 0
                 known[i, j] = True
             elif np.isfinite(first_step[i, j]):
                 step[i, j] = first_step[i, j]

@@ -114,7 +114,7 @@ def solve_capture(
 
     Solved twice: without the held-out sections, to compare with them, and then with all, since a
     block that a single section crosses would lose its height with it. The figures of the
-    comparison are so on the safe side. The views are gone through once for each.
+    comparison are so on the safe side. For each the views (or those instead) are gone through.
 
     Parameters
     ----------
@@ -126,8 +126,9 @@ def solve_capture(
         See `integrate_capture`.
     """
     out = held_out(len(sections.r), held_out_every)
-    case = prepare(views, sections, surface, cells, instead)
-    return solve_case(case, views if instead is None else instead, out)
+    again = views if instead is None else instead
+    # Nothing here holds the first placing's fields while the second ones are solved.
+    return solve_case(prepare(views, sections, surface, cells, instead), again, out)
 
 
 def profile_of(

@@ -131,6 +131,7 @@ def add_relief(
     edges = build_edges(
         photometry.slope,
         variance,
+        np.broadcast_to(np.float32(0), step.shape),
         surface,
         step.astype(np.float32),
         std.astype(np.float32),

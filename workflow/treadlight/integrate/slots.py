@@ -382,22 +382,30 @@ def _off_tread(
     Where wide slots come in quick succession most sections meet one: those that pass by all cuts
     say where the tread is. Not so in grooves around the tire, by the usual `depth` (m,) of their
     columns: there a wear bar may be all that looks like tread, and no cut is beside their floors.
-    What a single section finds above one is a bar, whose ramps look like a cut's walls.
+    What a section finds above the whole width of one is a bar, whose ramps look like a cut's walls.
     """
     if not broken.count:
         return np.zeros(len(laser.value), bool)
     away = way_out(~broken.mask, grid)[laser.row, laser.column]
+    groove = depth > 1 - _GROOVE_DEPTH
     depth = depth[laser.column]
     calm = (away > _BESIDE_CELLS) | (depth > _GROOVE_DEPTH)
     height = laser.value - _median_along(laser, calm, grid)
-    is_bar = (height > 0) & (depth > 1 - _GROOVE_DEPTH)
-    deviation = np.where(is_bar, 0, np.abs(height))
     usual = np.hypot(std, laser.std)
+    deviation = np.where(_on_bars(laser, height > _OFF_SIGMA * usual, groove), 0, np.abs(height))
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
     beside = away <= _BESIDE_CELLS
     unsure = (laser.std > _OFF_SIGMA * std) & (depth < 1 - _GROOVE_DEPTH)
     off = (deviation > _OFF_SIGMA * usual) & (away <= aside)
     return off | (beside & (unsure | (deviation > _BESIDE_SIGMA * usual)))
+
+
+def _on_bars(laser: LaserCells, risen: np.ndarray, groove: np.ndarray) -> np.ndarray:
+    """Points (k,) in a groove (m,) bool that their section finds `risen` (k,) over most of it."""
+    run = ndimage.label(groove)[0][laser.column]
+    group = laser.section * (len(groove) + 1) + run
+    share = np.bincount(group, risen) / np.maximum(np.bincount(group), 1)
+    return (run > 0) & (share[group] > _MOSTLY)
 
 
 def _median_along(laser: LaserCells, calm: np.ndarray, grid: CylinderGrid) -> np.ndarray:

@@ -33,9 +33,11 @@ _TILE_MM = 30.0
 # Another place of a tire with three pitches correlates up to 0.75 without any noise, a profile of
 # the laser alone (0.13 mm of noise) on its own place 0.86 to 0.87.
 _LEAST_CORRELATION = 0.8
-# Floors whose textures correlate less are dirty or only noise: two captures of one tire reach
-# 0.7 to 0.97, other places of it 0.02.
-_SAME_TEXTURE = 0.4
+# A texture is the tire's if it correlates this many times better in its place than anywhere along
+# these arcs (mm) from it: two captures reach 0.7 to 0.97 where other places have 0.02 to 0.1. Noise
+# does not, nor what a rig draws, such as ripples from section to section.
+_ALONE = 2.0
+_BESIDE_MM = np.arange(2.0, 20.0)
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,9 @@ def align(first: Relief, current: Relief) -> Alignment:
     edges at fixed heights (Lucas-Kanade, coarse to fine: they give rotation, axial shift and, by
     skew, tilts and off-centres), medians of radial differences on groove floors (tilts,
     off-centres, radial), and at last the floors' texture, where both captures show the same
-    (likewise): a wall has its place in whole cells, texture between them. Tukey's biweight in
-    all; their relative weight follows from how much their errors go together within tiles.
+    and no repeating one: a wall has its place in whole cells, texture between them. Tukey's
+    biweight in all; their relative weight follows from how much their errors go together within
+    tiles.
 
     Returns
     -------
@@ -108,12 +111,12 @@ def align(first: Relief, current: Relief) -> Alignment:
             "Its tread pattern matches the first capture's nowhere "
             f"(best correlation {max(correlation, 0.0):.2f}), as if they showed different sectors."
         )
-    textures = floor_texture(first), floor_texture(current)
+    textures, closer = (floor_texture(first), floor_texture(current)), fit
     for sigma_mm, most in levels[1:]:
         texture = _Edges(first, current.grid, textures, sigma_mm, most)
-        closer = _refine(fit.motion, (level, floors, texture), _ITERATIONS)
-        if texture.correlation(closer.motion) > _SAME_TEXTURE:
-            fit = closer
+        closer = _refine(closer.motion, (level, floors, texture), _ITERATIONS)
+    if texture.is_alone_at(closer.motion):
+        fit = closer
     motion = fit.motion.normalised()
     return Alignment(motion, fit.covariance, level.correlation(motion), floors.groove_std(motion))
 
@@ -187,6 +190,14 @@ class _Edges:
         a, b = (_without_column_means(v[known], cells.column[known]) for v in (cells.mean, other))
         norm = np.sqrt((a @ a) * (b @ b))
         return float(a @ b / norm) if norm > 1e-6 * known.sum() else 0.0
+
+    def is_alone_at(self, motion: Motion) -> bool:
+        """Whether the patterns agree there and hardly anywhere beside it along theta."""
+        beside = np.concatenate([-_BESIDE_MM, _BESIDE_MM]) / self.grid.nominal_radius_mm
+        turns = np.zeros((len(beside), len(PARAMETERS)))
+        turns[:, 0] = beside
+        elsewhere = [abs(self.correlation(Motion(motion.values + turn))) for turn in turns]
+        return self.correlation(motion) > _ALONE * max(elsewhere)
 
 
 @dataclass(frozen=True)

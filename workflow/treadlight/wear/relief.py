@@ -14,7 +14,7 @@ from treadlight.tread import FLOOR, GrooveReference, Regions, find_regions, fit_
 _BAND = (0.1, 0.85)
 # Without grooves the band hangs below the tops, where it keeps clear of their texture.
 _BAND_BELOW_TOPS_MM = (-2.5, -0.8)
-# Of the Gaussian that takes shape out of the floors' texture: half as wide as a floor.
+# Of the Gaussian that takes shape out of the floors' texture: waves under some 8 mm are left.
 _TEXTURE_MM = 2.0
 
 
