@@ -21,11 +21,12 @@ _STAGES = 5
 _LASER_SCALE = 2.0
 # No edge is cut quite through: the matrix stays regular.
 _LEAST_SHARE = 1e-5
-# Between the stages heights need not be final: within some 10 um, and 1 um in all but one cell in
-# a thousand. At the end within some 2 um, in patches that edges are cut around.
-_STAGE_ITERATIONS = 6
-_FINAL_ITERATIONS = 12
-_TOLERANCE_MM = 1e-3
+# Between the stages heights need not be final: 3 um RMS, 92 % within 1 um. At the end 0.2 um and
+# 99.6 %, and 16 um in the worst cell.
+_STAGE_ITERATIONS = 4
+_FINAL_ITERATIONS = 10
+# The residual says some four times less than heights are off.
+_TOLERANCE_MM = 2.5e-4
 
 
 @dataclass(frozen=True)
