@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 import zarr
+import zarrs
 from zarr.codecs import BloscCodec
 
 from treadlight.errors import StoreError
@@ -35,7 +36,9 @@ from treadlight.geometry import (
     Rig,
     Vignetting,
 )
+from treadlight.rounding import keep_bits
 from treadlight.spool import IN_MEMORY, Memory, Spool
+from treadlight.threads import cores
 
 ROOT_METADATA = "zarr.json"
 PROVENANCE_SUFFIX = ".provenance.json"
@@ -47,6 +50,13 @@ _CONVENTIONS = "CF-1.11"
 _HOST = socket.gethostname()
 _OWNER = f"{_HOST}-{os.getpid()}"
 
+zarr.config.set(
+    {
+        "codec_pipeline.path": f"{zarrs.__name__}.{zarrs.ZarrsCodecPipeline.__name__}",
+        "threading.max_workers": cores(),
+    }
+)
+
 
 def write_store(
     path: Path,
@@ -54,7 +64,6 @@ def write_store(
     *,
     title: str,
     source: str,
-    threads: int = 1,
     memory: Memory | Spool = IN_MEMORY,
 ) -> None:
     """Publish a dataset as a sharded zarr 3 store at `path` (the store's folder).
@@ -66,8 +75,6 @@ def write_store(
         Every variable needs the attributes ``units`` and ``long_name``.
     title, source : str
         Of the root; `source` is the capture's (or calibration's, or tire's) id.
-    threads : int
-        Shards that are packed at once; they come out the same.
     memory : Memory or Spool
         Where large variables lie: handed back after each.
 
@@ -84,8 +91,8 @@ def write_store(
     dataset = _with_strings(dataset.assign_attrs({**dataset.attrs, **root}))
     encoding = {name: _encoding(variable) for name, variable in dataset.variables.items()}
     with _temporary_sibling(path) as temporary:
-        # Outside the main thread blosc packs a frame in one thread: none depends on the cores.
-        with zarr.config.set({"async.concurrency": threads}):
+        # Several threads would lay chunks into a shard as they are ready.
+        with zarr.config.set({"threading.max_workers": 1}):
             for part in _parts(dataset):
                 told = {name: encoding[name] for name in part.variables}
                 part.to_zarr(temporary, mode="a", zarr_format=3, consolidated=False, encoding=told)
@@ -362,6 +369,13 @@ def variable(
 ) -> xr.Variable:
     """A CF variable."""
     return xr.Variable(dims, values, {"units": units, "long_name": long_name, **attrs})
+
+
+def keep_bits_of(variable: xr.Variable, bits: int) -> None:
+    """Round a variable's values in place to so many bits of the mantissa, and say so."""
+    keep_bits(variable.values, bits)
+    # As the netCDF library names it.
+    variable.attrs["_QuantizeBitRoundNumberOfSignificantBits"] = bits
 
 
 def flag_attrs(names: Iterable[str]) -> dict[str, Any]:

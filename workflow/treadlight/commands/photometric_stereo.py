@@ -32,6 +32,18 @@ _LONG_NAMES = {
     "z": "axial place of the assumed scene point",
 }
 _UNITS = {"r": "mm", "theta": "rad", "z": "mm"}
+# Of the mantissa: steps of 0.1 mrad, of 0.5 um, and a thousandth of what is known to a hundredth.
+_BITS = {
+    "normal": 13,
+    "normal_cov": 8,
+    "k_d": 10,
+    "k_s": 10,
+    "alpha": 10,
+    "residual": 8,
+    "r": 19,
+    "theta": 20,
+    "z": 18,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,10 +90,8 @@ def run(args: argparse.Namespace) -> int:
             settings,
             memory,
         )
-        dataset = _with_light(dataset_of(found), view, warnings, memory)
-        store.write_store(
-            out, dataset, title=title, source=capture.id, threads=args.threads, memory=memory
-        )
+        dataset = _with_light(dataset_of(found, memory), view, warnings, memory)
+        store.write_store(out, dataset, title=title, source=capture.id, memory=memory)
 
     return common.run_stage(
         args,
@@ -237,8 +247,8 @@ def _with_light(
     return dataset.assign_attrs(warnings=warnings) if warnings else dataset
 
 
-def dataset_of(found: "ViewNormals") -> "xr.Dataset":
-    """photometric.zarr/fovNN of the results contract."""
+def dataset_of(found: "ViewNormals", memory: Memory | Spool = IN_MEMORY) -> "xr.Dataset":
+    """photometric.zarr/fovNN of the results contract; the maps, in `memory`, are rounded."""
     import numpy as np
     import xarray as xr
 
@@ -263,6 +273,9 @@ def dataset_of(found: "ViewNormals") -> "xr.Dataset":
     for name, long_name in _LONG_NAMES.items():
         values = getattr(found, name)
         variables[name] = store.variable(pixel, values, _UNITS.get(name, "1"), long_name)
+    for name, bits in _BITS.items():
+        store.keep_bits_of(variables[name], bits)
+        memory.release()
     height, width = found.quality.shape
     coordinates = {
         "v": store.variable(("v",), np.arange(height), "pixel", "image row"),

@@ -51,9 +51,11 @@ def run(args: argparse.Namespace) -> int:
         memory = Spool(surface_out.parent)
         laser, surface = register(points, rig, capture, settings, memory)
         memory.release()
-        said = {"source": capture.id, "threads": args.threads, "memory": memory}
-        store.write_store(laser_out, laser, title="Laser sections", **said)
-        store.write_store(surface_out, surface, title="First surface", **said)
+        for out, product, title in (
+            (laser_out, laser, "Laser sections"),
+            (surface_out, surface, "First surface"),
+        ):
+            store.write_store(out, product, title=title, source=capture.id, memory=memory)
 
     return common.run_stage(
         args,
