@@ -79,7 +79,10 @@ class Look:
 
 def look_at(frame: LinearFrame) -> Look:
     """Reduce a frame to what comparisons need."""
-    image = np.ascontiguousarray(np.where(frame.saturated, 1.0, frame.intensity), np.float32)
+    image = frame.intensity
+    if frame.saturated.any():
+        image = np.where(frame.saturated, np.float32(1), image)
+    image = np.ascontiguousarray(image)
     height, width = image.shape
     reduction = max(1.0, max(height, width) / _COMPARED_PX)
     small = _reduce(image, reduction)

@@ -51,7 +51,10 @@ class FrameReader:
         counts = self._decode(frame)
         channels = self._select(counts, frame)
         saturated = np.greater_equal(channels, self.capture.encoding.white_level)
-        linear = self._linear(channels) - self._black(frame, np.iinfo(counts.dtype).max)
+        linear, black = self._linear(channels), self._black(frame, np.iinfo(counts.dtype).max)
+        # In place but where a mono frame has a dark one in colour.
+        fits = black.shape[2] <= linear.shape[2]
+        linear = np.subtract(linear, black, out=linear if fits else None)
         if linear.shape[2] == 1:
             return LinearFrame(linear[:, :, 0], saturated[:, :, 0])
         return LinearFrame(linear.mean(axis=2, dtype=np.float32), np.any(saturated, axis=2))
