@@ -5,7 +5,7 @@ views the profile comes from the laser alone, without laser points only its shap
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from treadlight.geometry import CylinderGrid, Rig
 
 
-# A pixel lies aside of where its view was placed, as far as it looks into a groove obliquely.
-_ASIDE_MM = 3.0
+_READ = ["normal", "normal_cov", "r", "theta", "z", "k_d", "k_s", "alpha", "quality"]
+# Of the mantissa: steps of 0.02 um, of 0.1 mrad, and a thousandth of what is known to a hundredth.
+_BITS = {"r": 24, "r_std": 8, "normal": 13, "k_d": 10, "k_s": 10, "alpha": 10, "height": 18}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,9 +53,7 @@ def run(args: argparse.Namespace) -> int:
     def work() -> None:
         memory = Spool(out.parent)
         profile, report = integrate_products(args, settings, memory)
-        store.write_store(
-            out, profile, title="Profile", source=capture.id, threads=args.threads, memory=memory
-        )
+        store.write_store(out, profile, title="Profile", source=capture.id, memory=memory)
         store.write_json(args.quality, report)
 
     return common.run_stage(
@@ -95,8 +94,10 @@ def integrate_products(
     views = [stored_view(path, capture, rig) for path in usable]
     width = integrate.width_of_cells(grid, settings.most_cells)
     cells = integrate.solved_grid(grid, width)
+    read = common.progress(views, f"{capture.id}: views read", every_s=0)
+    coarse = integrate.views_for_cells(read, cells, memory)
     found = integrate.solve_capture(
-        _Watched(views, f"{capture.id}: views gathered"),
+        _Watched(coarse, f"{capture.id}: views gathered", memory),
         integrate.thinned(sections, width),
         _first_surface(surface, *integrate.sampled(grid, cells)),
         cells,
@@ -104,7 +105,8 @@ def integrate_products(
     )
     joined = integrate.Joined(grid.shape, memory.empty)
     # The cells are still held while a band's pixels, which take as much memory each, are laid.
-    bands = list(integrate.bands_of(grid, width, settings.most_cells // 4))
+    room = settings.most_cells * 5 // 4 - cells.shape[0] * cells.shape[1]
+    bands = list(integrate.bands_of(grid, width, min(room, settings.most_cells // 2)))
     for band in common.progress(bands, f"{capture.id}: bands laid"):
         joined.add(integrate.profile_of(found, views, sections, band.grid, band.core), band)
         memory.release()
@@ -185,21 +187,19 @@ def view_normals(view: "xr.Dataset", camera: "np.ndarray | None") -> "integrate.
     """What a photometric.zarr/fovNN, or rows of it, holds, with the centre of its camera."""
     import numpy as np
 
-    from treadlight.integrate import ViewNormals
+    from treadlight import integrate
 
-    names = view.quality.attrs["flag_meanings"].split()
-    flags = {name: (view.quality.values >> bit) & 1 > 0 for bit, name in enumerate(names)}
-    return ViewNormals(
+    names, quality = view.quality.attrs["flag_meanings"].split(), view.quality.values
+    flags = {name: (quality & (1 << names.index(name))) > 0 for name in integrate.VIEW_FLAGS}
+    return integrate.ViewNormals(
         view.normal.values,
         view.normal_cov.values,
         view.r.values,
         view.theta.values,
         view.z.values,
         np.stack([view[name].values for name in ("k_d", "k_s", "alpha")], axis=-1),
-        flags["shadowed"],
-        flags["saturated"],
-        flags["poor_fit"],
-        camera,
+        **flags,
+        camera=camera,
     )
 
 
@@ -208,18 +208,25 @@ def stored_view(path: Path, capture: "Capture", rig: "Rig") -> "StoredView":
     from treadlight import store
 
     number = int(store.store_folder(path).name.removeprefix("fov"))
-    return StoredView(store.open_store(path), camera_centre(capture, number, rig))
+    return StoredView(store.open_store(path)[_READ], camera_centre(capture, number, rig))
 
 
-class _Watched(list["StoredView"]):
-    """Views that say how many of them are done, each time that they are gone through."""
+class _Watched(list["integrate.View"]):
+    """Views that say how many of them are done, each time that they are gone through.
 
-    def __init__(self, views: "list[StoredView]", label: str) -> None:
+    After each what lies in `memory` is handed back.
+    """
+
+    def __init__(
+        self, views: "Iterable[integrate.View]", label: str, memory: Memory | Spool
+    ) -> None:
         super().__init__(views)
-        self._label = label
+        self._label, self._memory = label, memory
 
-    def __iter__(self) -> "Iterator[StoredView]":
-        return common.progress(super().__iter__(), self._label, len(self), 0)
+    def __iter__(self) -> "Iterator[integrate.View]":
+        for view in common.progress(super().__iter__(), self._label, len(self), 0):
+            yield view
+            self._memory.release()
 
 
 class StoredView:
@@ -233,11 +240,12 @@ class StoredView:
         import numpy as np
 
         from treadlight.geometry.axis import wrap_angle
+        from treadlight.integrate import ASIDE_MM
         from treadlight.store import CHUNK
 
         middle, low, high = self._reach
         own = (grid.theta[0] + grid.theta[-1]) / 2
-        half = (grid.theta[-1] - grid.theta[0]) / 2 + _ASIDE_MM / grid.nominal_radius_mm
+        half = (grid.theta[-1] - grid.theta[0]) / 2 + ASIDE_MM / grid.nominal_radius_mm
         away = wrap_angle(middle - own)
         near = (away + high >= -half) & (away + low <= half) | (grid.periodic & np.isfinite(low))
         for row, seen in enumerate(near):
@@ -249,25 +257,11 @@ class StoredView:
 
     @cached_property
     def _reach(self) -> "tuple[float, np.ndarray, np.ndarray]":
-        """An angle of the view; between which angles off it each chunk of the image sees, rad.
-
-        NaN where it sees nothing.
-        """
-        import numpy as np
-
-        from treadlight.geometry.axis import wrap_angle
+        """See `integrate.angles_of_chunks`."""
+        from treadlight import integrate
         from treadlight.store import CHUNK
 
-        theta = self._view["theta"].to_numpy()
-        seen = theta[np.isfinite(theta)]
-        middle = float(seen[0]) if seen.size else 0.0
-        away = wrap_angle(theta - middle)
-        spare = [(0, -size % CHUNK) for size in away.shape]
-        away = np.pad(away, spare, constant_values=np.nan)
-        rows, columns = (size // CHUNK for size in away.shape)
-        chunks = away.reshape(rows, CHUNK, columns, CHUNK)
-        low, high = (pick.reduce(pick.reduce(chunks, 3), 1) for pick in (np.fmin, np.fmax))
-        return middle, low, high
+        return integrate.angles_of_chunks(self._view["theta"].to_numpy(), CHUNK)
 
 
 def _dataset(
@@ -280,7 +274,7 @@ def _dataset(
     import numpy as np
     import xarray as xr
 
-    from treadlight import integrate, tread
+    from treadlight import integrate, store, tread
     from treadlight.store import CHUNK, flag_attrs, variable
 
     reference = tread.fit_reference(profile.r, profile.r_std, grid, regions)
@@ -313,6 +307,9 @@ def _dataset(
             **flag_attrs(integrate.FLAGS),
         ),
     }
+    for name, bits in _BITS.items():
+        store.keep_bits_of(variables[name], bits)
+        memory.release()
     coordinates = {
         "theta": variable(("theta",), grid.theta, "rad", "angle in the tire frame"),
         "z": variable(("z",), grid.z, "mm", "place along the axis in the tire frame"),

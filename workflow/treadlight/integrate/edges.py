@@ -43,31 +43,54 @@ def merge_views(fields: list[ViewField], grid: CylinderGrid) -> Photometry:
     largest one in the cell.
     """
     n, m = grid.shape
-    slope = np.zeros((2, n, m), np.float32)
-    information = np.zeros((2, n, m), np.float32)
-    material = np.zeros((3, n, m), np.float32)
-    flags = np.zeros((3, n, m), np.float32)
-    lit = np.zeros((n, m), np.float32)
-    seen = np.zeros((n, 1), np.float32)
-    largest = np.zeros((n, m), np.float32)
+    slope, information = np.zeros((2, 2, n, m), np.float32)
+    material, flags = np.zeros((2, 3, n, m), np.float32)
+    lit, largest = np.zeros((2, n, m), np.float32)
+    seen = np.zeros(n, np.float32)
+    sums = slope, information, material, flags, lit, largest, seen
     for field in fields:
-        blend = field.blend[:, None]
-        known = np.isfinite(field.slope[0])
-        share = np.where(known, blend / field.variance, 0)
-        slope[:, field.rows] += np.where(known, share * field.slope, 0)
-        information[:, field.rows] += share
-        material[:, field.rows] += np.where(known, blend * field.material, 0)
-        lit[field.rows] += known * blend
-        largest[field.rows] = np.maximum(largest[field.rows], known * blend)
-        flags[:, field.rows] += blend * field.flags
-        seen[field.rows] += blend
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return Photometry(
-            slope=np.where(lit > 0, slope / information, np.nan).astype(np.float32),
-            variance=np.where(lit > 0, largest / information, np.nan).astype(np.float32),
-            material=np.where(lit > 0, material / lit, np.nan).astype(np.float32),
-            flags=np.where(seen > 0, flags / seen, 0).astype(np.float32),
-        )
+        known = field.slope, field.variance, field.material, field.flags, field.blend
+        by_ranges(_add_view, len(field.rows), 1, field.rows, *known, *sums)
+    by_ranges(_to_means, n, 1, *sums)
+    return Photometry(slope, information, material, flags)
+
+
+@kernel
+def _add_view(
+    first, last, rows, slope, variance, material, flags, blend, sum_slope, information,
+    sum_material, sum_flags, lit, largest, seen,
+):  # fmt: skip
+    for k in range(first, last):
+        i, share = rows[k], blend[k]
+        seen[i] += share
+        for c in range(3):
+            for j in range(lit.shape[1]):
+                sum_flags[c, i, j] += share * flags[c, k, j]
+        for j in range(lit.shape[1]):
+            if not np.isfinite(slope[0, k, j]):
+                continue
+            for c in range(2):
+                weight = share / variance[c, k, j]
+                sum_slope[c, i, j] += weight * slope[c, k, j]
+                information[c, i, j] += weight
+            for c in range(3):
+                sum_material[c, i, j] += share * material[c, k, j]
+            lit[i, j] += share
+            largest[i, j] = max(largest[i, j], share)
+
+
+@kernel
+def _to_means(first, last, slope, information, material, flags, lit, largest, seen):
+    """From sums to means, in place; information becomes the means' variance."""
+    for i in range(first, last):
+        for j in range(lit.shape[1]):
+            known = lit[i, j] > 0
+            for c in range(2):
+                slope[c, i, j] = slope[c, i, j] / information[c, i, j] if known else np.nan
+                information[c, i, j] = largest[i, j] / information[c, i, j] if known else np.nan
+            for c in range(3):
+                material[c, i, j] = material[c, i, j] / lit[i, j] if known else np.nan
+                flags[c, i, j] = flags[c, i, j] / seen[i] if seen[i] > 0 else 0
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
+from treadlight.geometry.angle_kernel import wrapped
 from treadlight.threads import by_ranges, cores
 
 # Two slopes times their weights, these, material, and how many pixels are usable; the share of
@@ -45,7 +46,8 @@ class ViewNormals:
         Scene point of the pixel in {T}, mm, rad, mm.
     material : (v, u, 3) float
         k_d, k_s, alpha.
-    shadowed, saturated, poor_fit : (v, u) bool
+    shadowed, saturated, poor_fit : (v, u) bool, or float
+        Whether, or the share of what a pixel was made of.
     camera : (3,) float or None
         Centre of the camera in {T}: r mm, theta rad, z mm. None if it is not known.
     """
@@ -108,52 +110,94 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
     """
     total = np.zeros((*grid.shape, _CHANNELS), np.float32)
     taken = np.zeros(grid.shape[0], bool)
-    low, high = np.inf, -np.inf
+    ends = np.array([np.inf, -np.inf])
     for view in blocks:
         row, column = _indices(view, grid)
-        if not grid.periodic:
-            # The view may go on beyond an open grid.
-            low, high = np.fmin.reduce(row, initial=low), np.fmax.reduce(row, initial=high)
-            row[~((row > -0.5) & (row < grid.shape[0] - 0.5))] = np.nan
-        seen = row[np.isfinite(row)]
-        if seen.size:
-            taken[np.maximum(np.floor(seen).astype(int), 0)] = True
-            given = row, column, _channels(view), grid.periodic
+        if _mark_taken(row, grid.periodic, taken, ends):
+            given = row, column, _channels(view, row), grid.periodic
             # Every range looks at all pixels.
             by_ranges(_splat, len(total), -(-len(total) // cores()), *given, total)
     if not taken.any():
         return None
     rows = _rows_covered(taken, grid)
     first, last = int(rows[0]), int(rows[0]) + len(rows)
-    if not grid.periodic:
-        first, last = int(np.floor(low)), int(np.floor(high)) + 2
-    return _field(total[rows], rows, _blend(rows[0] - first, len(rows), last - first))
+    if grid.periodic:
+        total = total[rows]
+    else:
+        total = total[first:last]
+        # The view may go on beyond an open grid.
+        first, last = int(np.floor(ends[0])), int(np.floor(ends[1])) + 2
+    return _field(total, rows, _blend(rows[0] - first, len(rows), last - first))
 
 
 def _indices(view: ViewNormals, grid: CylinderGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns (k,) of the pixels' scene points; NaN of those aside of the columns."""
-    row, column = (x.ravel() for x in grid.index(view.theta, view.z))
-    row[~((column > -0.5) & (column < grid.shape[1] - 0.5))] = np.nan
+    """Rows and columns (k,) of the pixels' scene points; NaN of those aside of the columns.
+
+    As `CylinderGrid.index`.
+    """
+    row, column = np.empty((2, view.theta.size))
+    middle = 0.5 * (grid.theta[0] + grid.theta[-1])
+    place = middle, middle - grid.theta[0], grid.step_theta, grid.z[0], grid.step_z
+    points = view.theta.ravel(), view.z.ravel()
+    by_ranges(_index, len(row), _LEAST_PX, *points, *place, grid.periodic, *grid.shape, row, column)
     return row, column
 
 
-def _channels(view: ViewNormals) -> np.ndarray:
-    """What pixels hand to cells, (k, 12) float32."""
+@kernel
+def _index(
+    first, last, theta, z, middle, offset, step_theta, first_z, step_z, periodic, rows, columns,
+    row, column,
+):  # fmt: skip
+    for k in range(first, last):
+        column[k] = (z[k] - first_z) / step_z
+        row[k] = (offset + wrapped(theta[k] - middle)) / step_theta
+        if periodic:
+            row[k] -= np.floor(row[k] / rows) * rows
+            # The rest of a number just below zero is rounded to the divisor.
+            row[k] = row[k] if row[k] < rows else 0.0
+        if not -0.5 < column[k] < columns - 0.5:
+            row[k] = np.nan
+
+
+@kernel
+def _mark_taken(row, periodic, taken, ends):
+    """Mark what rows of the grid (n,) points lie behind; NaN for those off an open one.
+
+    Widens `ends` to the first and the last row of all; returns how many points lie on the grid.
+    """
+    n, found = len(taken), 0
+    for k in range(len(row)):
+        if np.isfinite(row[k]):
+            ends[0], ends[1] = min(ends[0], row[k]), max(ends[1], row[k])
+            if periodic or -0.5 < row[k] < n - 0.5:
+                taken[max(int(np.floor(row[k])), 0)] = True
+                found += 1
+            else:
+                row[k] = np.nan
+    return found
+
+
+def _channels(view: ViewNormals, row: np.ndarray) -> np.ndarray:
+    """What pixels hand to cells, (k, 12) float32; undefined where their `row` is NaN."""
     channels = np.empty((view.theta.size, _CHANNELS), np.float32)
     known = view.normal, view.covariance, view.material
     flags = (view.shadowed.ravel(), view.saturated.ravel(), view.poor_fit.ravel())
     values = (x.reshape(-1, 3) for x in known)
-    by_ranges(_hand_over, len(channels), _LEAST_PX, *values, *flags, channels)
+    by_ranges(_hand_over, len(channels), _LEAST_PX, row, *values, *flags, channels)
     return channels
 
 
 @kernel
-def _hand_over(first, last, normal, covariance, material, shadowed, saturated, poor_fit, channels):
+def _hand_over(
+    first, last, row, normal, covariance, material, shadowed, saturated, poor_fit, channels
+):
     for k in range(first, last):
+        if not np.isfinite(row[k]):
+            continue
         n_r = np.float64(normal[k, 0])
         p, q = -normal[k, 1] / n_r, -normal[k, 2] / n_r
-        w_p = 1 / (_steepened(p, q) * covariance[k, 0])
-        w_q = 1 / (_steepened(q, p) * covariance[k, 2])
+        w_p = 1 / (steepened(p, q) * covariance[k, 0])
+        w_q = 1 / (steepened(q, p) * covariance[k, 2])
         channels[k] = 0
         if n_r > 0 and np.isfinite(p + q) and np.isfinite(w_p + w_q):
             channels[k, 0], channels[k, 1] = w_p * p, w_q * q
@@ -172,11 +216,11 @@ def slope_variance(slope: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     height is much less certain than a tread's.
     """
     p, q = slope
-    return np.stack([_steepened.py_func(p, q), _steepened.py_func(q, p)]) * tilt
+    return np.stack([steepened.py_func(p, q), steepened.py_func(q, p)]) * tilt
 
 
 @kernel(inline="always")
-def _steepened(along, aside):
+def steepened(along, aside):
     """Variance of the slope along an axis over that of the normal's component."""
     squared = along * along
     return (1 + squared) ** 2 * (1 + squared + aside * aside)

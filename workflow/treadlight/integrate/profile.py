@@ -7,6 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
+from treadlight.integrate.binning import views_for_cells
 from treadlight.integrate.case import (
     FirstSurface,
     Found,
@@ -98,7 +99,9 @@ def integrate_capture(
     cells = solved_grid(grid, width)
     place = np.ix_(*sampled(grid, cells))
     first = FirstSurface(surface.r[place], surface.r_std[place])
-    found = solve_capture(views, thinned(sections, width), first, cells, held_out_every, instead)
+    coarse = views_for_cells(views, cells)
+    other = None if instead is None else views_for_cells(instead, cells)
+    found = solve_capture(coarse, thinned(sections, width), first, cells, held_out_every, other)
     return profile_of(found, views if instead is None else instead, sections, grid)
 
 
@@ -118,11 +121,13 @@ def solve_capture(
 
     Parameters
     ----------
+    views : collection of View
+        With pixels no finer than cells need; see `binning.views_for_cells`.
     sections : LaserSections
         With about a line for each column of cells.
     surface : FirstSurface
         On the cells.
-    views, held_out_every, instead
+    held_out_every, instead
         See `integrate_capture`.
     """
     out = held_out(len(sections.r), held_out_every)

@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
+from treadlight.geometry.angle_kernel import wrapped
 from treadlight.integrate.gather import ViewNormals
 from treadlight.threads import by_ranges
 
@@ -17,6 +18,8 @@ _PER_SPACING = 4
 # A surface this many standard deviations off the tread is a cut, or a ghost.
 _OFF_SIGMA = 4.0
 _ROUNDS = 3
+# A pixel lies aside of where its view was placed, as far as it looks into a groove obliquely.
+ASIDE_MM = 3.0
 _LEAST_PX = 1 << 10
 
 
@@ -50,6 +53,45 @@ def bridged_surface(
     return np.where(off, median[nearest], start)
 
 
+def angles_of_chunks(theta: np.ndarray, chunk: int) -> tuple[float, np.ndarray, np.ndarray]:
+    """Between which angles squares of a view's image see the tire.
+
+    Parameters
+    ----------
+    theta : (v, u) float32
+        Of the pixels' scene points, rad.
+    chunk : int
+        Side of a square, pixels.
+
+    Returns
+    -------
+    middle : float
+        An angle of the view, rad.
+    low, high : (rows, columns) float64
+        Of each square, off that one, rad; NaN where it sees nothing.
+    """
+    known = np.isfinite(theta)
+    middle = float(theta.ravel()[np.argmax(known)]) if known.any() else 0.0
+    low, high = np.full((2, *(-(-size // chunk) for size in theta.shape)), np.nan)
+    by_ranges(_angles, len(low), 1, theta, middle, chunk, low, high)
+    return middle, low, high
+
+
+@kernel
+def _angles(first, last, theta, middle, chunk, low, high):
+    height, width = theta.shape
+    for v in range(first * chunk, min(last * chunk, height)):
+        for u in range(width):
+            away = wrapped(np.float64(theta[v, u]) - middle)
+            if np.isfinite(away):
+                row, column = v // chunk, u // chunk
+                # Neither is less, or more, than what is not known.
+                if not low[row, column] <= away:
+                    low[row, column] = away
+                if not high[row, column] >= away:
+                    high[row, column] = away
+
+
 def seen_on(view: ViewNormals, surface: np.ndarray, grid: CylinderGrid) -> ViewNormals:
     """The view with its scene points moved along their rays onto a surface (n, m), mm.
 
@@ -68,18 +110,26 @@ def seen_on(view: ViewNormals, surface: np.ndarray, grid: CylinderGrid) -> ViewN
     place = (grid.periodic, middle, middle - grid.theta[0], grid.step_theta, grid.z[0], grid.step_z)
     centre, turned, beside = (float(x) for x in view.camera)
     camera = centre, -turned, beside
-    by_ranges(_see, theta.size, _LEAST_PX, *known, *camera, surface, *place, *moved)
+    aside = ASIDE_MM / (grid.step_theta * grid.nominal_radius_mm)
+    by_ranges(_see, theta.size, _LEAST_PX, *known, *camera, aside, surface, *place, *moved)
     return replace(view, normal=normal, r=r, theta=theta, z=z)
 
 
 @kernel
 def _see(
-    first, last, r, theta, z, normal, centre, encoder, beside, surface, periodic, middle, offset,
-    step_theta, first_z, step_z, new_r, new_theta, new_z, new_normal,
+    first, last, r, theta, z, normal, centre, encoder, beside, aside, surface, periodic, middle,
+    offset, step_theta, first_z, step_z, new_r, new_theta, new_z, new_normal,
 ):  # fmt: skip
     """Move pixels along their rays onto the surface (n, m), and turn their normals with them."""
     n, m = surface.shape
     for k in range(first, last):
+        if not periodic:
+            row = (offset + wrapped(theta[k] - middle)) / step_theta
+            if row < -aside or row > n - 1 + aside:
+                new_r[k], new_theta[k], new_z[k] = r[k], theta[k], z[k]
+                for c in range(3):
+                    new_normal[k, c] = normal[k, c]
+                continue
         away = theta[k] + encoder
         ray_x, ray_y = r[k] * np.cos(away) - centre, r[k] * np.sin(away)
         ray_z = z[k] - beside
@@ -87,8 +137,7 @@ def _see(
         at_theta, at_z, at_r = np.float64(theta[k]), np.float64(z[k]), np.nan
         for _ in range(_ROUNDS):
             # The nearest cell; at the rim the last one.
-            turn = at_theta - middle + np.pi
-            row = (offset + turn - np.floor(turn / (2 * np.pi)) * (2 * np.pi) - np.pi) / step_theta
+            row = (offset + wrapped(at_theta - middle)) / step_theta
             column = (at_z - first_z) / step_z
             if not (np.isfinite(row) and np.isfinite(column)):
                 at_r = np.nan
