@@ -130,7 +130,8 @@ def write_view(folder, number, first, last, rng):
     return str(path)
 
 
-def test_wider_cells_and_bands_give_nearly_the_profile_of_pixels(products, rng):
+def in_pixels_and_in_bands(products, rng):
+    """The profile solved at the pixels, and in wide cells with their pixels in bands."""
     views = [
         write_view(products, k, first, first + 0.12, rng)
         for k, first in enumerate((0.0, 0.09, 0.18))
@@ -140,7 +141,11 @@ def test_wider_cells_and_bands_give_nearly_the_profile_of_pixels(products, rng):
         settings = json.dumps({"held_out_every": 0, "most_cells": cells})
         assert integrate(products, "--views", *views, "--settings", settings) == 0
         found.append(store.open_store(products / "profile.zarr").load())
-    whole, bands = found
+    return found
+
+
+def test_wider_cells_and_bands_give_nearly_the_profile_of_pixels(products, rng):
+    whole, bands = in_pixels_and_in_bands(products, rng)
     assert set(whole.variables) == set(bands.variables)
     assert 0 < np.abs(bands.r - whole.r).max() < 0.03
     np.testing.assert_allclose(bands.k_d, whole.k_d, rtol=1e-5)
@@ -149,6 +154,29 @@ def test_wider_cells_and_bands_give_nearly_the_profile_of_pixels(products, rng):
     # Two standard deviations of one pixel's normal: slopes of pixels bend to the sections' noise,
     # those of wide cells, which hold more of them, do not.
     np.testing.assert_allclose(bands.normal, whole.normal, atol=2 * np.sqrt(COVARIANCE))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_where_sections_have_hardly_any_noise_both_are_the_flat_tread(products, rng, share):
+    laser = store.open_store(products / "laser.zarr").load()
+    laser["r"][:] = 100.0 + share * (laser["r"] - 100.0)
+    store.write_store(products / "laser.zarr", laser, title="l", source="t1-0")
+    for found in in_pixels_and_in_bands(products, rng):
+        np.testing.assert_allclose(found.r, 100.0, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(found.normal - [1.0, 0.0, 0.0], 0, atol=1e-3)
+
+
+def test_what_is_noise_is_not_kept(products, rng):
+    assert integrate(products, "--views", write_view(products, 0, 0.0, 0.3, rng)) == 0
+    profile = store.open_store(products / "profile.zarr").load()
+    # A flat tread has no height over its grooves.
+    kept = {"r": 24, "r_std": 8, "normal": 13, "k_d": 10, "k_s": 10, "alpha": 10}
+    for name, bits in kept.items():
+        assert profile[name].attrs["_QuantizeBitRoundNumberOfSignificantBits"] == bits
+        mantissa = np.frexp(profile[name].to_numpy().astype(float))[0] * 2.0 ** (bits + 1)
+        mantissa = mantissa[np.isfinite(mantissa)]
+        assert mantissa.size
+        np.testing.assert_array_equal(mantissa, np.rint(mantissa))
 
 
 @pytest.mark.parametrize("turned", [0.0, 3.0])

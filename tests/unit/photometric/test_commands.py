@@ -133,6 +133,18 @@ def test_a_view_becomes_the_store_of_the_contract(folder, tmp_path):
     assert out.with_name("fov04.provenance.json").exists()
 
 
+def test_what_is_noise_is_not_kept(folder, tmp_path):
+    assert stereo(folder, tmp_path / "fov") == 0
+    found = store.open_store(tmp_path / "fov").load()
+    kept = {"normal": 13, "normal_cov": 8, "residual": 8, "r": 19, "theta": 20, "z": 18}
+    for name, bits in (kept | dict.fromkeys(("k_d", "k_s", "alpha"), 10)).items():
+        assert found[name].attrs["_QuantizeBitRoundNumberOfSignificantBits"] == bits
+        mantissa = np.frexp(found[name].to_numpy().astype(float))[0] * 2.0 ** (bits + 1)
+        mantissa = mantissa[np.isfinite(mantissa)]
+        assert mantissa.size
+        np.testing.assert_array_equal(mantissa, np.rint(mantissa))
+
+
 def test_two_runs_write_the_same_bits(folder, tmp_path):
     for name in ("one", "two"):
         assert stereo(folder, tmp_path / name) == 0

@@ -100,8 +100,9 @@ def lean_of_ribs(
         here = own & (rib_of_column[laser.column] == rib)
         if np.count_nonzero(here) >= LEAST_PAIRS:
             slope, variance = _robust_line(grid.z[laser.column[here]], miss[here], laser.std[here])
-            shrunk = max(0.0, 1 - shared_rows * variance / slope**2)
-            lean[rib_of_column == rib] = shrunk * slope
+            # By as much as the slope is more than its noise.
+            told = max(0.0, slope**2 - shared_rows * variance)
+            lean[rib_of_column == rib] = told / slope if told else 0.0
     return lean
 
 

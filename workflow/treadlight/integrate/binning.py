@@ -7,14 +7,14 @@ import numpy as np
 
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
+from treadlight.geometry.angle_kernel import wrapped
 from treadlight.geometry.axis import wrap_angle
-from treadlight.integrate.gather import View, ViewNormals, steepened
+from treadlight.integrate.gather import View, ViewNormals, slopes_of, steepened
 from treadlight.spool import IN_MEMORY, Memory, Spool
 from treadlight.threads import by_ranges
 
 # Bins along the side of a cell, at least: a bin's place is known to half of one.
 _PER_CELL = 3
-_ROUNDING = 0.05
 _LEAST_ROWS = 8
 _FLOATS = 15
 
@@ -56,8 +56,7 @@ def _with_bins(view: View, cells: CylinderGrid, memory: Memory | Spool) -> View:
     width = min(cells.step_theta * cells.nominal_radius_mm, cells.step_z)
     spacings = (_spacing_mm(block) for block in view.blocks(cells))
     spacing = next((mm for mm in spacings if mm > 0), np.inf)
-    # An image may be a hair finer than so many to a cell.
-    side = int(width / (_PER_CELL * spacing) + _ROUNDING)
+    side = int(width / (_PER_CELL * spacing))
     return view if side < 2 else _binned_view(view, cells, side, memory)
 
 
@@ -148,16 +147,14 @@ def _bin(
                     dark += shadowed[i, j]
                     bright += saturated[i, j]
                     poor += poor_fit[i, j]
-                    away = np.float64(middle) - theta[i, j]
-                    if abs(away) > np.pi:
-                        away -= np.copysign(2 * np.pi, away)
                     # The local basis of the middle; angles are a few mrad.
+                    away = wrapped(np.float64(middle) - theta[i, j])
                     n_r = normal[i, j, 0] + away * normal[i, j, 1]
-                    p = -(normal[i, j, 1] - away * normal[i, j, 0]) / n_r
-                    q = -normal[i, j, 2] / n_r
-                    w_p = 1 / (steepened(p, q) * covariance[i, j, 0])
-                    w_q = 1 / (steepened(q, p) * covariance[i, j, 2])
-                    if n_r > 0 and np.isfinite(p + q) and np.isfinite(w_p + w_q):
+                    n_theta = normal[i, j, 1] - away * normal[i, j, 0]
+                    p, q, w_p, w_q = slopes_of(
+                        n_r, n_theta, normal[i, j, 2], covariance[i, j, 0], covariance[i, j, 2]
+                    )
+                    if np.isfinite(p + q + w_p + w_q):
                         sum_p += w_p * p
                         sum_q += w_q * q
                         sum_wp += w_p

@@ -194,12 +194,11 @@ def _hand_over(
     for k in range(first, last):
         if not np.isfinite(row[k]):
             continue
-        n_r = np.float64(normal[k, 0])
-        p, q = -normal[k, 1] / n_r, -normal[k, 2] / n_r
-        w_p = 1 / (steepened(p, q) * covariance[k, 0])
-        w_q = 1 / (steepened(q, p) * covariance[k, 2])
+        p, q, w_p, w_q = slopes_of(
+            np.float64(normal[k, 0]), normal[k, 1], normal[k, 2], covariance[k, 0], covariance[k, 2]
+        )
         channels[k] = 0
-        if n_r > 0 and np.isfinite(p + q) and np.isfinite(w_p + w_q):
+        if np.isfinite(p + q + w_p + w_q):
             channels[k, 0], channels[k, 1] = w_p * p, w_q * q
             channels[k, 2], channels[k, 3] = w_p, w_q
             for c in range(3):
@@ -217,6 +216,15 @@ def slope_variance(slope: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     """
     p, q = slope
     return np.stack([steepened.py_func(p, q), steepened.py_func(q, p)]) * tilt
+
+
+@kernel(inline="always")
+def slopes_of(n_r, n_theta, n_z, theta_variance, z_variance):
+    """Both slopes of a normal and their information; not finite where it tells none."""
+    if not n_r > 0:
+        n_r = np.nan
+    p, q = -n_theta / n_r, -n_z / n_r
+    return p, q, 1 / (steepened(p, q) * theta_variance), 1 / (steepened(q, p) * z_variance)
 
 
 @kernel(inline="always")

@@ -25,7 +25,8 @@ _STRONG = 0.25
 _MOST_CELLS = 1000
 # Where weights scatter everywhere the smallest islands stay out: so many cells for each, at least.
 _CELLS_PER_ISLAND = 64
-# Below this share of what couples islands to each other nothing holds them.
+# What holds islands by less than this share of what couples them to each other is lost in the
+# rounding of their pivots: nothing does.
 _HELD = 1e-10
 _LEAST_ISLANDS = 1 << 10
 
