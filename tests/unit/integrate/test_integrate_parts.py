@@ -5,8 +5,8 @@ from treadlight import tread
 from treadlight.geometry import Axis, Camera, CylinderGrid, Rig
 from treadlight.integrate import prior
 from treadlight.integrate.confirm import confirm
-from treadlight.integrate.edges import curl_scale
-from treadlight.integrate.gather import ViewNormals, view_field
+from treadlight.integrate.edges import curl_scale, merge_views
+from treadlight.integrate.gather import ViewField, ViewNormals, view_field
 from treadlight.integrate.laser import LaserCells, held_out, laser_cells
 from treadlight.integrate.quality import frame_std
 from treadlight.integrate.uncertainty import compare_held_out, coverage_factor
@@ -55,6 +55,33 @@ def test_a_view_beside_the_grid_gives_nothing():
     grid = sector()
     theta, z = np.meshgrid(grid.theta + 1.0, grid.z, indexing="ij")
     assert view_field([view_at(theta, z, (0, 0))], grid) is None
+
+
+def test_a_view_beside_the_columns_gives_nothing():
+    grid = sector()
+    theta, z = np.meshgrid(grid.theta, grid.z + 100.0, indexing="ij")
+    assert view_field([view_at(theta, z, (0, 0))], grid) is None
+
+
+def test_views_are_merged_by_their_information_times_their_blend():
+    grid = sector()
+    one, other = (np.full((3, 2, *grid.shape), value, np.float32) for value in (1.0, 3.0))
+    rows = np.arange(grid.shape[0])
+
+    def field(values, variance, blend):
+        flags = np.stack([values[0, 0]] * 3) / 10
+        share = np.full(len(rows), blend, np.float32)
+        spread = np.full((2, *grid.shape), variance, np.float32)
+        return ViewField(rows, values[0], spread, values[:, 0], flags, share)
+
+    merged = merge_views([field(one, 0.01, 0.25), field(other, 0.04, 0.75)], grid)
+    information = 0.25 / 0.01 + 0.75 / 0.04
+    slope = (0.25 / 0.01 * 1 + 0.75 / 0.04 * 3) / information
+    np.testing.assert_allclose(merged.slope, slope, rtol=1e-6)
+    # Each view's information counts by its blend relative to the largest one.
+    np.testing.assert_allclose(merged.variance, 0.75 / information, rtol=1e-6)
+    np.testing.assert_allclose(merged.material, 2.5, rtol=1e-6)
+    np.testing.assert_allclose(merged.flags, 0.25, rtol=1e-6)
 
 
 def test_what_an_open_grid_cuts_off_a_view_counts_in_its_blend():

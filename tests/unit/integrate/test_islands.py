@@ -98,6 +98,16 @@ def test_a_correction_sets_an_island_to_its_level_at_once():
     np.testing.assert_allclose(x, np.where(mask, 5.0, 0.0), rtol=1e-12, atol=0)
 
 
+def test_islands_stand_at_their_level_before_the_first_iteration():
+    shape = (40, 40)
+    mask = block(shape, slice(7, 10), slice(4, 6))
+    solver = Solver(System(*field_with([mask], shape)))
+    residual = np.empty(shape)
+    multiply(solver._levels[0].stencil, np.where(mask, 5.0, 0.0), residual)
+    found, _ = solver.solve(residual, 1e-9, 0)
+    np.testing.assert_allclose(found, np.where(mask, 5.0, 0.0), atol=1e-9)
+
+
 def test_what_nothing_holds_stays_where_it_is():
     shape = (40, 40)
     mask = block(shape, slice(4, 6), slice(4, 6))
