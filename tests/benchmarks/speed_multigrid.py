@@ -2,8 +2,9 @@
 
 The weights are those of a capture's last solve, laid side by side up to the sizes asked; the start
 is its first surface. Solved to 1 um in every cell, or as far as single precision goes; up to 4
-million cells held against a solution in double precision. A pair of transforms (scipy.fft.dctn and idctn, single precision, two workers)
-is all that a Poisson solver of uniform weights takes: the yardstick. The last line is JSON.
+million cells held against a solution in double precision. A pair of transforms (scipy.fft.dctn and
+idctn, single precision, two workers) is all that a Poisson solver of uniform weights takes: the
+yardstick. The last line is JSON.
 """
 
 import argparse
@@ -25,7 +26,7 @@ from treadlight.integrate.multigrid import Solver, System
 from treadlight.integrate.solve import Problem, linear_residual, weighted_system
 from treadlight.threads import use_cores
 
-# Of the preconditioned residual, for 1 um. Half of it leaves the worst of 4 million cells the same.
+# Of the preconditioned residual, for 1 um. Half of it leaves the worst of 4 million cells as it is.
 TOLERANCE_MM = 2e-4
 MOST_HELD_AGAINST_DOUBLE = 4_000_000
 MOST_ITERATIONS = 1000
