@@ -9,6 +9,7 @@ from PIL import Image
 from treadlight.archive import Capture, Encoding, Frame
 from treadlight.errors import CaptureError
 from treadlight.images import FrameReader, read_header
+from treadlight.images import frames as frames_module
 
 H, W = 6, 8
 
@@ -89,6 +90,25 @@ def test_a_mono_dark_frame_applies_to_every_channel(make):
             images, {"a.png": "laser", "d.png": "dark"}, white=255.0, channel=channel
         )
         assert reader.read(frames[0]).intensity == pytest.approx(value / 255)
+
+
+def test_light_is_the_same_whatever_is_converted_at_a_time(make, monkeypatch):
+    """Rows of a frame become light a few at a time, each less its own rows of the dark frame."""
+    rng = np.random.default_rng(5)
+    images = {
+        name: rng.integers(0, 65536, (H, W, 3)).astype(np.uint16) for name in ("a.png", "d.png")
+    }
+    reader, (frame, _) = make(images, {"a.png": "led", "d.png": "dark"}, white=60000.0)
+    whole = reader.read(frame)
+    monkeypatch.setattr(frames_module, "_BAND_PX", 2 * W)
+    into = np.empty((H, W), np.float32)
+    parts = reader.read(frame, out=into)
+    assert parts.intensity is into
+    np.testing.assert_array_equal(into, whole.intensity)
+    np.testing.assert_array_equal(parts.saturated, whole.saturated)
+    np.testing.assert_array_equal(whole.saturated, (images["a.png"] >= 60000).any(axis=2))
+    light = (images["a.png"].astype(float) - images["d.png"]).mean(axis=2) / 65535
+    np.testing.assert_allclose(into, light, atol=1e-6)
 
 
 def test_a_colour_dark_frame_is_taken_off_channel_by_channel(make):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from treadlight import threads
 from treadlight.photometric import map_normals, sps
 from treadlight.photometric.material import (
     BLINN_PHONG,
@@ -150,9 +151,76 @@ def test_a_start_that_explains_a_pixel_is_enough(analytic, rng):
     intensity[::3, ::50] *= 4.0
     seen = analytic.observe(intensity, lights)
     material = learn_material(seen)
-    one, many = (fit(seen, material, enough)[:, :3] for enough in (1.0, 0.0))
-    assert not np.array_equal(one, many)
+    one, many = (fit(seen, material, enough)[:, :3] for enough in (3.0, 0.0))
     assert np.mean(analytic.degrees_between(one, many) < 0.1) > 0.995
+
+
+def waves(analytic, rng, height, width):
+    """Normals of an image (height, width, 3) that shows waves, with steps between some of them."""
+    v, u = np.mgrid[:height, :width]
+    slope = 0.3 * np.sin(u / 17) + np.where(u // 40 % 2 == 1, 0.25, 0.0)
+    other = 0.3 * np.cos(v / 13) - np.where(v // 25 % 2 == 1, 0.2, 0.0)
+    x, y = 0.6 * slope, 0.6 * other
+    return np.stack([np.sqrt(1 - x**2 - y**2), x, y], axis=-1)
+
+
+def an_image(analytic, rng, height=96, width=150):
+    """What waves show with 2 % of noise, some pixels of it dark, and a material learned from it."""
+    normals = waves(analytic, rng, height, width).reshape(-1, 3)
+    lights = analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
+    intensity *= 1 + 0.02 * rng.standard_normal(intensity.shape)
+    usable = np.ones(intensity.shape, bool)
+    usable[:, rng.random(len(normals)) < 0.02] = False
+    usable[:, 30 * width + 20 : 34 * width + 40] = False
+    seen = analytic.observe(intensity, lights, usable)
+    return normals, seen, learn_material(seen)
+
+
+@pytest.mark.parametrize("width", [40, 150, 1500])
+def test_pixels_that_start_above_end_where_others_do(analytic, rng, width):
+    """To some hundredths of what noise does to them: from above, from all starts, it is one fit."""
+    normals, seen, material = an_image(analytic, rng)
+    alone, above = (map_normals(seen, material=material, width=w) for w in (None, width))
+    np.testing.assert_array_equal(np.isfinite(above.normal), np.isfinite(alone.normal))
+    np.testing.assert_array_equal(above.leds_used, alone.leds_used)
+    known = np.isfinite(alone.normal[:, 0])
+    assert 0.9 < known.mean() < 1.0
+    apart = np.radians(analytic.degrees_between(above.normal[known], alone.normal[known]))
+    std = np.sqrt(alone.covariance[known][:, [0, 3, 5]].sum(axis=1))
+    assert np.quantile(apart / std, 0.995) < 0.05
+    error = analytic.degrees_between(above.normal[known], normals[known])
+    assert np.quantile(error, 0.99) < 3.0
+
+
+def test_a_pixel_above_that_is_in_the_wrong_lobe_misleads_none(analytic, rng):
+    """Rows that another thing hides, of other normals and light, are no start for what follows."""
+    height, width = 90, 128
+    normals = waves(analytic, rng, height, width)
+    normals[20:24] = [0.5, np.sqrt(0.75), 0.0]
+    normals = normals.reshape(-1, 3)
+    lights = analytic.two_rings()
+    intensity = analytic.blinn_phong(normals, lights, 0.1, 0.3, 20)
+    intensity *= 1 + 0.02 * rng.standard_normal(intensity.shape)
+    # What hides them shines of itself under half of the LEDs.
+    intensity[::2, 20 * width : 24 * width] += 3.0
+    seen = analytic.observe(intensity, lights)
+    material = learn_material(seen)
+    found = map_normals(seen, material=material, width=width).normal
+    error = analytic.degrees_between(found, normals).reshape(height, width)
+    assert np.mean(error[20:24] > 5.0) > 0.5
+    assert np.mean(error[24:] < 3.0) > 0.99
+
+
+def test_an_image_is_fitted_the_same_by_any_number_of_cores(analytic, rng, monkeypatch):
+    """Bands of its rows are shared among them, whatever their number."""
+    _, seen, material = an_image(analytic, rng)
+    found = []
+    for cores in (1, 2, 3):
+        monkeypatch.setattr(threads, "_allowed", cores)
+        found.append(fit(seen, material, 3.0, 150))
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
 
 
 def test_rerendering_is_what_the_residual_says(analytic, rng):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from treadlight.geometry import Camera, CylinderGrid
-from treadlight.photometric import PhotometrySettings, View, solve_view
+from treadlight.photometric import PhotometrySettings, View, solve_view, view_kernels
 from treadlight.photometric.observations import OUTSIDE, POOR_FIT, SATURATED, SHADOWED
 from treadlight.photometric.view import needed_rows
 
@@ -214,3 +214,34 @@ class _Sample:
     def angles(self, found):
         difference = np.linalg.norm(found.normal - self.normals(found), axis=-1)
         return np.degrees(2 * np.arcsin(difference / 2))[self.tops(found)]
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.5])
+def test_rays_are_those_that_the_camera_projects(bench, skew):
+    """Of a lens far worse than any rig's, and of pixels in any order."""
+    matrix = np.array([[900.0, skew, 330.2], [0.0, 880.0, 245.7], [0.0, 0.0, 1.0]])
+    lens = np.array([-0.25, 0.1, 2e-3, -1e-3, -0.02])
+    camera = Camera(matrix, lens, (640, 480))
+    pixels = np.random.default_rng(3).permutation(640 * 480)[:3001]
+    found = np.empty((len(pixels), 3))
+    view_kernels.directions(
+        0, len(pixels), pixels, 640, camera.intrinsics, tuple(lens.tolist()),
+        np.ascontiguousarray(bench.axis.basis), found,
+    )  # fmt: skip
+    there = np.column_stack([pixels % 640, pixels // 640])
+    np.testing.assert_allclose(camera.project(found @ bench.axis.basis), there, atol=1e-7)
+
+
+def test_points_go_to_the_camera_as_the_axis_says(bench):
+    rng = np.random.default_rng(4)
+    points = np.column_stack(
+        [rng.uniform(-0.9, 0.9, 500), rng.uniform(-50, 50, 500), rng.uniform(90, 110, 500)]
+    )
+    points[7] = np.nan
+    found = np.empty(points.shape)
+    view_kernels.to_camera(
+        0, 500, points, np.ascontiguousarray(bench.axis.basis), bench.axis.point, found
+    )
+    phi, z, r = points.T
+    expected = bench.axis.to_camera(phi - ENCODER, z, r, ENCODER)
+    np.testing.assert_allclose(found, expected, atol=1e-9)

@@ -205,11 +205,11 @@ def read_frames(
 
     def look(m: int) -> "doubts.Look | str":
         try:
-            linear = reader.read(frames[m])
+            linear = reader.read(frames[m], out=intensity[m])
         except CaptureError as error:
             return str(error)
         seen = doubts.look_at(linear)
-        np.divide(linear.intensity, np.float32(exposures[m]), out=intensity[m])
+        intensity[m] /= np.float32(exposures[m])
         intensity[m][linear.saturated] = np.nan
         memory.release()
         return seen

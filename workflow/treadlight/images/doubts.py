@@ -78,11 +78,12 @@ class Look:
 
 
 def look_at(frame: LinearFrame) -> Look:
-    """Reduce a frame to what comparisons need."""
-    image = frame.intensity
-    if frame.saturated.any():
-        image = np.where(frame.saturated, np.float32(1), image)
-    image = np.ascontiguousarray(image)
+    """Reduce a frame to what comparisons need.
+
+    Its saturated pixels become full scale, in place: a copy would take longer than all the rest.
+    """
+    image = np.ascontiguousarray(frame.intensity)
+    np.copyto(image, np.float32(1), where=frame.saturated)
     height, width = image.shape
     reduction = max(1.0, max(height, width) / _COMPARED_PX)
     small = _reduce(image, reduction)

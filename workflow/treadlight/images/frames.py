@@ -12,6 +12,8 @@ from treadlight.errors import CaptureError
 from treadlight.images.files import Header, check_length, is_whole, parse_header
 
 _CHANNELS = {"blue": 0, "green": 1, "red": 2}
+# Pixels that become light at a time: what is in between stays in the processor's cache.
+_BAND_PX = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,10 @@ class FrameReader:
             self._linear(self._decode(frame)) for frame in capture.of_kind("dark") if subtract_dark
         )
 
-    def read(self, frame: Frame) -> LinearFrame:
+    def read(self, frame: Frame, out: np.ndarray | None = None) -> LinearFrame:
         """The frame as light: `laser.channel` for laser frames, the mean of channels else.
+
+        Its intensity lies in `out` (h, w) float32 if that is given.
 
         Raises
         ------
@@ -50,14 +54,17 @@ class FrameReader:
         """
         counts = self._decode(frame)
         channels = self._select(counts, frame)
-        saturated = np.greater_equal(channels, self.capture.encoding.white_level)
-        linear, black = self._linear(channels), self._black(frame, np.iinfo(counts.dtype).max)
-        # In place but where a mono frame has a dark one in colour.
-        fits = black.shape[2] <= linear.shape[2]
-        linear = np.subtract(linear, black, out=linear if fits else None)
-        if linear.shape[2] == 1:
-            return LinearFrame(linear[:, :, 0], saturated[:, :, 0])
-        return LinearFrame(linear.mean(axis=2, dtype=np.float32), np.any(saturated, axis=2))
+        height, width = channels.shape[:2]
+        intensity = np.empty((height, width), np.float32) if out is None else out
+        saturated = np.empty((height, width), np.bool_)
+        black = self._black(frame, np.iinfo(counts.dtype).max)
+        for first in range(0, height, step := max(1, _BAND_PX // width)):
+            rows = slice(first, first + step)
+            part = channels[rows]
+            np.any(part >= self.capture.encoding.white_level, axis=2, out=saturated[rows])
+            linear = self._linear(part) - (black if len(black) == 1 else black[rows])
+            intensity[rows] = linear.mean(axis=2, dtype=np.float32)
+        return LinearFrame(intensity, saturated)
 
     def _decode(self, frame: Frame) -> np.ndarray:
         path = self.capture.path(frame)

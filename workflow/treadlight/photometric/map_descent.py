@@ -46,8 +46,9 @@ from treadlight.photometric.map_model import (
     tangents,
 )
 
-# A fall of the cost that moves no parameter by more than a hundredth of its standard deviation.
-_NOTHING = np.float32(1e-4)
+# A fall of the cost that moves no parameter by more than a tenth of its standard deviation: steps
+# shrink so fast then that what they leave is some hundredths.
+NOTHING = np.float32(1e-2)
 _DAMPING, _EASE, _BRAKE = np.float32(1e-2), np.float32(0.2), np.float32(6.0)
 _LEAST_DAMPING, _MOST_DAMPING = np.float32(1e-6), np.float32(1e6)
 _MOST_TILT, _MOST_LOG = np.float32(0.3), np.float32(1.0)
@@ -55,7 +56,7 @@ _LN_ALPHA_MAX = np.float32(math.log(1024.0))
 _LN_RATIO_MAX = np.float32(math.log(1e4))
 
 # A step of the five parameters, its damping, whether it was taken, what it promises.
-S0, S1, S2, S3, S4, DAMPING, BETTER, _FALL = rows(8)
+S0, S1, S2, S3, S4, DAMPING, BETTER, PROMISE = rows(8)
 STEP = 8 * LANES
 
 
@@ -96,9 +97,14 @@ def solve(eq, step):
 
 
 @kernel
-def _bound(step, row, most):
-    for k in range(LANES):
-        step[row + k] = min(max(step[row + k], -most), most)
+def _bound(step):
+    """No step turns a normal, or changes a logarithm, further than the equations hold."""
+    for row in (S0, S1):
+        for k in range(LANES):
+            step[row + k] = min(max(step[row + k], -_MOST_TILT), _MOST_TILT)
+    for row in (S2, S3, S4):
+        for k in range(LANES):
+            step[row + k] = min(max(step[row + k], -_MOST_LOG), _MOST_LOG)
 
 
 @kernel
@@ -131,7 +137,7 @@ def _judge(eq, eq_trial, step):
     A lane that has nothing to gain rests, whatever those beside it do.
     """
     for k in range(LANES):
-        promised = step[_FALL + k] - _NOTHING
+        promised = step[PROMISE + k] - NOTHING
         gain = eq[COST + k] - eq_trial[COST + k]
         gain = gain if promised > 0 else ZERO
         factor = _EASE if gain > 0 else _BRAKE
@@ -147,9 +153,9 @@ def _promise(eq, step):
     for k in range(LANES):
         fall = step[S0 + k] * eq[B0 + k] + step[S1 + k] * eq[B1 + k]
         fall += step[S2 + k] * eq[B2 + k] + step[S3 + k] * eq[B3 + k]
-        step[_FALL + k] = fall + step[S4 + k] * eq[B4 + k]
+        step[PROMISE + k] = fall + step[S4 + k] * eq[B4 + k]
     for k in range(LANES):
-        most = max(most, step[_FALL + k])
+        most = max(most, step[PROMISE + k])
     return most
 
 
@@ -164,21 +170,27 @@ def choose(better, new, old):
 
 @kernel
 def descend(leds, state, t, work, material, step, trial, eq, eq_trial, steps):
-    """Levenberg and Marquardt's steps from `state` on, in place; `eq` is that of the last state."""
+    """Levenberg and Marquardt's steps from `state` on, in place; `eq` is that of the last state.
+
+    A step that promises next to nothing is the last one, and taken without asking what it brings.
+    What a lane's next step would promise stands in `step` afterwards.
+    """
     step[DAMPING : DAMPING + LANES] = _DAMPING
     evaluate(leds, state, t, work, material, eq)
-    for _ in range(steps):
+    for left in range(steps, -1, -1):
         solve(eq, step)
-        if _promise(eq, step) <= _NOTHING:
-            return
-        for row in (S0, S1):
-            _bound(step, row, _MOST_TILT)
-        for row in (S2, S3, S4):
-            _bound(step, row, _MOST_LOG)
+        most = _promise(eq, step)
+        _bound(step)
         tangents(state, t)
         _advance(state, t, step, trial)
+        if most <= NOTHING or left == 0:
+            break
         evaluate(leds, trial, t, work, material, eq_trial)
         _judge(eq, eq_trial, step)
         better = step[BETTER : BETTER + LANES]
         choose(better, trial, state)
         choose(better, eq_trial, eq)
+    better = step[BETTER : BETTER + LANES]
+    for k in range(LANES):
+        better[k] = ONE if step[PROMISE + k] <= NOTHING else ZERO
+    choose(better, trial, state)

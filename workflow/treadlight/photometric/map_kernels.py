@@ -1,8 +1,10 @@
 """Maximum a posteriori fit of the full reflection model, many pixels side by side, compiled.
 
-A block of pixels (`map_lanes`) needs some 130 KiB. Most pixels are explained from their best start:
-they take some 9 evaluations of the model (`map_model`), and as long as five of them to find it
-(`map_starts`). The others of a span, side by side again, take some 28, from several starts.
+A block of pixels (`map_lanes`) needs some 130 KiB, and 40 ns a pixel for an evaluation of the model
+(`map_model`) by one core. Where pixels are an image's, most are explained from where the pixel
+above ended, after some four evaluations. The others of a span of pixels, side by side again, are
+fitted to the end, and those that this leaves in doubt are asked whether they are explained better
+from one of their starts (`map_starts`). Pixels without one above begin at their best start.
 """
 
 import math
@@ -10,23 +12,16 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.map_descent import BETTER, STEP, choose, descend
-from treadlight.photometric.map_lanes import (
-    BRIGHT,
-    DARK,
-    HX,
-    HY,
-    HZ,
-    LANES,
-    LED,
-    LIGHT,
-    LX,
-    LY,
-    LZ,
-    ONE,
-    SHARP,
-    ZERO,
+from treadlight.photometric.map_descent import (
+    BETTER,
+    NOTHING,
+    PROMISE,
+    STEP,
+    choose,
+    descend,
 )
+from treadlight.photometric.map_gather import count_usable, gather, sharpen
+from treadlight.photometric.map_lanes import LANES, LED, ONE, SHARP, ZERO
 from treadlight.photometric.map_model import (
     ALPHA,
     COST,
@@ -41,9 +36,22 @@ from treadlight.photometric.map_model import (
     X,
     Y,
     Z,
+    evaluate,
     tangents,
 )
-from treadlight.photometric.map_report import RESULTS, covariances, report, rerender
+from treadlight.photometric.map_report import (
+    FOUND,
+    FOUND_K_S,
+    FOUND_LN_ALPHA,
+    FOUND_LN_RATIO,
+    LEDS,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    covariances,
+    report,
+    rerender,
+)
 from treadlight.photometric.map_starts import (
     START,
     START_KS,
@@ -54,68 +62,18 @@ from treadlight.photometric.map_starts import (
     choose_starts,
     starts_desk,
 )
+from treadlight.photometric.observations import MIN_LEDS
 
-# Steps from each start, and from the best of them at each level of misfit.
-_FIRST_STEPS, _STEPS = 3, 8
-# Pixels whose doubtful ones are put side by side.
+# Steps from where the pixel above ended, from each start, and from there to the end.
+_NEAR_STEPS, _FIRST_STEPS, _STEPS = 3, 3, 8
+# Pixels whose unfinished ones are put side by side.
 SPAN = 16 * LANES
+# A start is better if it leaves a cost lower by more than this: a standard deviation's.
+_LEAD = np.float32(1.0)
 # Parameters fitted at a pixel.
 _FITTED = np.float32(5.0)
 # Least misfit that the starts are given: the robust cost is flat where residuals are far beyond it.
 _FIRST_MISFIT2 = np.float32(0.02**2)
-
-
-@kernel
-def _gather(seen, pixels, leds, look):
-    """The LEDs of some pixels; lanes beyond see nothing. `look` is room for their views."""
-    intensity, lights, views, usable, noise = seen
-    leds[:] = look[:] = ZERO
-    for k in range(len(pixels)):
-        for c in range(3):
-            look[c * LANES + k] = views[pixels[k], c]
-    for m in range(intensity.shape[0]):
-        led = leds[m * LED : (m + 1) * LED]
-        led[DARK : DARK + LANES] = np.float32(np.inf)
-        for k in range(len(pixels)):
-            at = pixels[k]
-            i, lx = intensity[m, at], lights[m, at, 0]
-            if usable[m, at] and i == i and lx == lx:
-                led[LX + k], led[LY + k], led[LZ + k] = lx, lights[m, at, 1], lights[m, at, 2]
-                led[LIGHT + k] = i
-                led[DARK + k] = noise[m, at] ** 2
-        _add_halfway(led, look)
-
-
-@kernel
-def _add_halfway(led, look):
-    """The halfway vectors of an LED, and 1 / intensity where that is worth something."""
-    for k in range(LANES):
-        lx, ly, lz = led[LX + k], led[LY + k], led[LZ + k]
-        hx, hy, hz = lx + look[k], ly + look[LANES + k], lz + look[2 * LANES + k]
-        scale = ONE / math.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
-        # Of an LED that is not used, any unit vector.
-        used = lx * lx + ly * ly + lz * lz > 0
-        led[HX + k], led[HY + k] = hx * scale if used else ZERO, hy * scale if used else ZERO
-        led[HZ + k] = hz * scale if used else ONE
-        i = led[LIGHT + k]
-        bright = i * i > np.float32(9.0) * led[DARK + k]
-        led[BRIGHT + k] = ONE / i if bright and i > 0 else ZERO
-
-
-@kernel
-def _sharpen(leds, misfit2, brightest):
-    """How exact the LEDs are if the model misfits by so much, as `Material` defines it."""
-    brightest[:] = ZERO
-    for m in range(len(leds) // LED):
-        light = leds[m * LED + LIGHT :]
-        for k in range(LANES):
-            brightest[k] = max(brightest[k], light[k])
-    for m in range(len(leds) // LED):
-        led = leds[m * LED : (m + 1) * LED]
-        for k in range(LANES):
-            power = led[LIGHT + k] * led[LIGHT + k] + brightest[k] * brightest[k]
-            variance = led[DARK + k] + misfit2 * np.float32(0.5) * power
-            led[SHARP + k] = ONE / math.sqrt(max(variance, np.float32(1e-30)))
 
 
 @kernel
@@ -130,10 +88,27 @@ def _start(state, start, material):
 
 
 @kernel
-def _doubt(leds, eq, enough, doubtful):
-    """Which lanes are not explained as well as their LEDs' number lets expect; these see no more.
+def _start_above(state, pixels, width, out):
+    """Start where the pixels above ended; lanes that are no pixels keep what they hold."""
+    for k in range(len(pixels)):
+        at = pixels[k] - width
+        state[X + k], state[Y + k], state[Z + k] = (
+            out[NORMAL_X, at],
+            out[NORMAL_Y, at],
+            out[NORMAL_Z, at],
+        )
+        state[K_S + k] = max(out[FOUND_K_S, at], np.float32(1e-12))
+        state[LN_ALPHA + k], state[LN_RATIO + k] = out[FOUND_LN_ALPHA, at], out[FOUND_LN_RATIO, at]
+    for k in range(LANES):
+        state[ALPHA + k] = np.float32(math.exp(state[LN_ALPHA + k]))
+        state[RATIO + k] = np.float32(math.exp(state[LN_RATIO + k]))
 
-    A cost of `enough` times the degrees of freedom is: another start could lower it by no more.
+
+@kernel
+def _doubt(leds, eq, enough, doubtful):
+    """Which lanes are not explained as well as their LEDs' number lets expect.
+
+    A cost of `enough` times the degrees of freedom is.
     """
     doubtful[:] = -_FITTED
     for m in range(len(leds) // LED):
@@ -142,10 +117,13 @@ def _doubt(leds, eq, enough, doubtful):
             doubtful[k] += ONE if led[SHARP + k] > 0 else ZERO
     for k in range(LANES):
         doubtful[k] = ZERO if eq[COST + k] <= enough * doubtful[k] else ONE
-    for m in range(len(leds) // LED):
-        led = leds[m * LED : (m + 1) * LED]
-        for k in range(LANES):
-            led[DARK + k] = np.float32(np.inf) if doubtful[k] > 0 else led[DARK + k]
+
+
+@kernel
+def _doubt_unfinished(step, doubtful):
+    """Lanes that another step would still do something for are in doubt too."""
+    for k in range(LANES):
+        doubtful[k] = doubtful[k] if step[PROMISE + k] <= NOTHING else ONE
 
 
 @kernel(allocates=True)
@@ -153,7 +131,7 @@ def _make_room(n_leds, out):
     """Arrays to fit a block of lanes in, used anew for every one; and where its results go."""
     return (
         np.empty(n_leds * LED, np.float32),
-        np.zeros(STATE, np.float32),
+        np.ones(STATE, np.float32),
         np.zeros(STATE, np.float32),
         np.zeros(TANGENTS, np.float32),
         np.zeros(WORK, np.float32),
@@ -166,93 +144,182 @@ def _make_room(n_leds, out):
         np.empty((STARTS, START), np.float32),
         np.zeros(STATE, np.float32),
         starts_desk(n_leds),
-        (np.zeros(RESULTS * LANES, np.float32), out),
+        (np.zeros(FOUND, np.float32), out),
     )
 
 
-@kernel
-def _put_off(pixels, doubtful, state, eq, starts, count, waiting, put_off):
-    """Keep the lanes in doubt, after `count` others: pixel, state, its cost, starts not yet tried.
+@kernel(allocates=True)
+def _make_queue():
+    """Pixels of a span that wait, and their states in blocks of rows.
 
-    `waiting` (SPAN,) are the pixels, `put_off` the rest in blocks of rows; how many wait then.
+    Lanes of the last block that are no pixels are calculated with all the same.
     """
+    return np.empty(SPAN, np.int64), np.ones((SPAN // LANES, STATE), np.float32)
+
+
+@kernel
+def _put_off(pixels, chosen, state, queue, count):
+    """Add the chosen lanes to a queue of `count`; how many it has then."""
+    waiting, states = queue
     for k in range(len(pixels)):
-        if not doubtful[k] > 0:
+        if not chosen[k] > 0:
             continue
         waiting[count] = pixels[k]
-        block, lane = put_off[count // LANES], count % LANES
+        block, lane = states[count // LANES], count % LANES
         for row in range(0, STATE, LANES):
             block[row + lane] = state[row + k]
-        cost = eq[COST + k]
-        block[STATE + lane] = cost if cost == cost else np.float32(np.inf)
-        for s in range(1, STARTS):
-            for row in range(0, START, LANES):
-                block[STATE + LANES + (s - 1) * START + row + lane] = starts[s, row + k]
         count += 1
     return count
 
 
 @kernel(allocates=True)
-def _fit_best_start(seen, pixels, base, material, misfit2, enough, room, count, waiting, put_off):
-    """Fit a block from its best starts alone, put off what is in doubt; how many wait then."""
-    leds, state, trial, t, work, eq, eq_trial, step, flags, brightest, look, starts, _, desk, _ = (
-        room
-    )
-    _gather(seen, pixels, leds, look)
-    _sharpen(leds, max(misfit2, _FIRST_MISFIT2), brightest)
-    choose_starts(leds, seen, pixels, base, material, starts, desk)
-    _start(state, starts[0], material)
-    descend(leds, state, t, work, material, step, trial, eq, eq_trial, _FIRST_STEPS)
-    _doubt(leds, eq, enough, flags)
+def _fit_from_above(seen, pixels, width, material, misfit2, enough, room, queue, count):
+    """Fit a block from where the pixels above ended; what is in doubt then waits."""
+    leds, state, trial, t, work, eq, eq_trial, step, doubtful, brightest, look = room[:11]
+    gather(seen, pixels, leds, look)
+    sharpen(leds, misfit2, brightest)
+    _start_above(state, pixels, width, room[14][1])
+    descend(leds, state, t, work, material, step, trial, eq, eq_trial, _NEAR_STEPS)
+    _doubt(leds, eq, enough, doubtful)
+    _doubt_unfinished(step, doubtful)
     waited = count
-    count = _put_off(pixels, flags, state, eq, starts, count, waiting, put_off)
+    count = _put_off(pixels, doubtful, state, queue, count)
     if count - waited < len(pixels):
-        _sharpen(leds, misfit2, brightest)
-        descend(leds, state, t, work, material, step, trial, eq, eq_trial, _STEPS)
         _report(seen, pixels, state, material, room)
     return count
 
 
 @kernel(allocates=True)
-def _fit_other_starts(seen, pixels, material, misfit2, room, put_off):
-    """Fit a block that was put off from its other starts too."""
-    leds, state, trial, t, work, eq, eq_trial, step, least, brightest, look, _, best, _, _ = room
-    level2 = max(misfit2, _FIRST_MISFIT2)
-    _gather(seen, pixels, leds, look)
-    _sharpen(leds, level2, brightest)
-    best[:], least[:] = put_off[:STATE], put_off[STATE : STATE + LANES]
-    for s in range(STARTS - 1):
-        start = put_off[STATE + LANES + s * START :]
-        _start(state, start, material)
+def _begin(seen, pixels, base, material, first2, room, queue, count):
+    """Take a block some steps from its best starts; all of it waits then."""
+    leds, state, trial, t, work, eq, eq_trial, step, chosen, brightest, look = room[:11]
+    starts, desk = room[11], room[13]
+    gather(seen, pixels, leds, look)
+    sharpen(leds, first2, brightest)
+    choose_starts(leds, seen, pixels, base, material, starts, desk)
+    _start(state, starts[0], material)
+    descend(leds, state, t, work, material, step, trial, eq, eq_trial, _FIRST_STEPS)
+    chosen[:] = ONE
+    return _put_off(pixels, chosen, state, queue, count)
+
+
+@kernel(allocates=True)
+def _finish(seen, pixels, states, material, first2, misfit2, enough, room, queue, count):
+    """Fit a block from where it stands to the end; what is in doubt then waits.
+
+    With another misfit first, if that is larger.
+    """
+    leds, state, trial, t, work, eq, eq_trial, step, doubtful, brightest, look = room[:11]
+    gather(seen, pixels, leds, look)
+    state[:] = states
+    if first2 > misfit2:
+        sharpen(leds, first2, brightest)
+        descend(leds, state, t, work, material, step, trial, eq, eq_trial, _STEPS)
+    sharpen(leds, misfit2, brightest)
+    descend(leds, state, t, work, material, step, trial, eq, eq_trial, _STEPS)
+    _doubt(leds, eq, enough, doubtful)
+    count = _put_off(pixels, doubtful, state, queue, count)
+    _report(seen, pixels, state, material, room)
+    return count
+
+
+@kernel(allocates=True)
+def _try_starts(seen, pixels, states, base, material, first2, room, queue, count):
+    """Which pixels of a block are explained better from one of their starts; these wait there."""
+    leds, state, trial, t, work, eq, eq_trial, step, least, changed, look = room[:11]
+    starts, best, desk = room[11], room[12], room[13]
+    gather(seen, pixels, leds, look)
+    sharpen(leds, first2, changed)
+    choose_starts(leds, seen, pixels, base, material, starts, desk)
+    best[:] = states
+    evaluate(leds, best, t, work, material, eq)
+    better = step[BETTER : BETTER + LANES]
+    for k in range(LANES):
+        cost = eq[COST + k]
+        least[k], changed[k] = cost if cost == cost else np.float32(np.inf), ZERO
+    for s in range(STARTS):
+        _start(state, starts[s], material)
         descend(leds, state, t, work, material, step, trial, eq, eq_trial, _FIRST_STEPS)
-        better = step[BETTER : BETTER + LANES]
         for k in range(LANES):
-            better[k] = ONE if eq[COST + k] < least[k] else ZERO
+            better[k] = ONE if eq[COST + k] < least[k] - _LEAD else ZERO
+            changed[k] = max(changed[k], better[k])
         choose(better, state, best)
         choose(better, eq[COST : COST + LANES], least)
-    descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
-    if level2 > misfit2:
-        _sharpen(leds, misfit2, brightest)
-        descend(leds, best, t, work, material, step, trial, eq, eq_trial, _STEPS)
-    _report(seen, pixels, best, material, room)
+    return _put_off(pixels, changed, best, queue, count)
 
 
 @kernel(allocates=True)
 def _report(seen, pixels, state, material, room):
-    leds, _, _, t, work, eq, _, step, _, _, _, _, _, _, (found, out) = room
+    leds, _, _, t, work, eq, _, step = room[:8]
+    found, out = room[14]
     tangents(state, t)
     rerender(leds, state, work, int(material[5]), found)
     covariances(eq, t, step, found)
     report(found, state, eq, seen[2], pixels, out)
 
 
+@kernel
+def _sort(seen, span, width, first_row, used, above, new, out):
+    """How many pixels of a span begin at the one above, and how many do not; these in `new`.
+
+    Those that see too few LEDs are in neither.
+    """
+    first, last = span
+    n_above = n_new = 0
+    count_usable(seen[3], first, used[: last - first])
+    for k in range(first, last):
+        over = k - width
+        if used[k - first] < MIN_LEDS:
+            out[:, k] = np.nan
+            out[LEDS, k] = used[k - first]
+        elif width > 0 and first_row <= over < first and out[NORMAL_X, over] == out[NORMAL_X, over]:
+            above[n_above] = k
+            n_above += 1
+        else:
+            new[n_new] = k
+            n_new += 1
+    return n_above, n_new
+
+
+@kernel(allocates=True)
+def _fit_span(seen, span, width, first_row, base, material, misfit2, enough, room, desk):
+    """Fit the pixels of a span; all above it, from that of `first_row` on, are."""
+    used, above, new, queue, doubtful = desk
+    n_above, n_new = _sort(seen, span, width, first_row, used, above, new, room[14][1])
+    first2, nobody = max(misfit2, _FIRST_MISFIT2), np.float32(np.inf)
+    count = left = 0
+    for k in range(0, n_new, LANES):
+        pixels = new[k : min(k + LANES, n_new)]
+        count = _begin(seen, pixels, base, material, first2, room, queue, count)
+    for k in range(0, count, LANES):
+        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
+        left = _finish(
+            seen, pixels, states, material, first2, misfit2, enough, room, doubtful, left
+        )
+    count = 0
+    for k in range(0, n_above, LANES):
+        pixels = above[k : min(k + LANES, n_above)]
+        count = _fit_from_above(seen, pixels, width, material, misfit2, enough, room, queue, count)
+    for k in range(0, count, LANES):
+        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
+        left = _finish(
+            seen, pixels, states, material, misfit2, misfit2, enough, room, doubtful, left
+        )
+    count = 0
+    for k in range(0, left, LANES):
+        pixels, states = doubtful[0][k : min(k + LANES, left)], doubtful[1][k // LANES]
+        count = _try_starts(seen, pixels, states, base, material, first2, room, queue, count)
+    for k in range(0, count, LANES):
+        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
+        _finish(seen, pixels, states, material, first2, misfit2, nobody, room, doubtful, 0)
+
+
 @kernel(allocates=True)
 def fit_pixels(
-    begin, end, intensity, lights, views, usable, noise, base, material, misfit2, enough, out
-):
-    """The most probable normal and material of pixels begin to end - 1.
-
-    `begin` is a multiple of LANES: pixels of one block start from the same dictionary.
+    begin, end, intensity, lights, views, usable, noise, base, material, misfit2, enough,
+    width, band, out,
+):  # fmt: skip
+    """The most probable normal and material of the pixels of bands begin to end - 1.
 
     Parameters
     ----------
@@ -264,22 +331,24 @@ def fit_pixels(
     misfit2 : float32
         Squared misfit of the model relative to the light, as `Material` defines it.
     enough : float32
-        A pixel's best start is enough if its cost is at most this, per degree of freedom.
-    out : (n, RESULTS) float64
-        Written here, in the columns of `map_report`; NaN where there is no normal, but for LEDS.
+        A fit needs no other start if its cost is at most this, per degree of freedom.
+    width : int
+        Pixels in a row of the image that these are, row by row; 0 if they are no image's.
+    band : int
+        Pixels of a band: whole rows. Its first row knows of none above.
+    out : (RESULTS, n) float32
+        Written here, in the rows of `map_report`; NaN where there is no normal, but for LEDS.
     """
     seen = (intensity, lights, views, usable, noise)
     room = _make_room(intensity.shape[0], out)
-    waiting = np.empty(SPAN, np.int64)
-    # Lanes of the last block that nothing is put off in are no pixels, but calculated with.
-    put_off = np.ones((SPAN // LANES, STATE + LANES + (STARTS - 1) * START), np.float32)
-    for span in range(begin, end, SPAN):
-        count = 0
-        for first in range(span, min(span + SPAN, end), LANES):
-            pixels = np.arange(first, min(first + LANES, end))
-            count = _fit_best_start(
-                seen, pixels, base, material, misfit2, enough, room, count, waiting, put_off
-            )
-        for first in range(0, count, LANES):
-            pixels = waiting[first : min(first + LANES, count)]
-            _fit_other_starts(seen, pixels, material, misfit2, room, put_off[first // LANES])
+    desk = (
+        np.empty(SPAN, np.uint8), np.empty(SPAN, np.int64), np.empty(SPAN, np.int64),
+        _make_queue(), _make_queue(),
+    )  # fmt: skip
+    # Of a span longer than a row, some pixels would lie above others.
+    length = min(SPAN, max(width // LANES, 1) * LANES) if width > 0 else SPAN
+    for number in range(begin, end):
+        first_row, last = number * band, min((number + 1) * band, out.shape[1])
+        for first in range(first_row, last, length):
+            span = (first, min(first + length, last))
+            _fit_span(seen, span, width, first_row, base, material, misfit2, enough, room, desk)

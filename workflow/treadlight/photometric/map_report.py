@@ -26,11 +26,15 @@ from treadlight.photometric.map_model import (
     Z,
     shade,
 )
+from treadlight.photometric.observations import MIN_LEDS
 
 # Columns of the result. The last five: posterior of (ln alpha, ln k_d/k_s).
 NORMAL_X, NORMAL_Y, NORMAL_Z, FOUND_K_D, FOUND_K_S, FOUND_ALPHA = range(6)
 RESIDUAL, LEDS, FOUND_COST, CXX = range(6, 10)
 FOUND_LN_ALPHA, FOUND_LN_RATIO, CAA, CAR, CRR, RESULTS = range(15, 21)
+# Rows of a block's results: those above, and whether there is a normal (1, else NaN).
+_KNOWN = RESULTS * LANES
+FOUND = _KNOWN + LANES
 
 
 @kernel(allocates=True)
@@ -92,18 +96,40 @@ def report(found, state, eq, views, pixels, out):
         found[NORMAL_X * LANES + k], found[NORMAL_Y * LANES + k] = state[X + k], state[Y + k]
         found[NORMAL_Z * LANES + k] = state[Z + k]
         found[FOUND_K_D * LANES + k] = state[K_S + k] * state[RATIO + k]
-        found[FOUND_K_S * LANES + k], found[FOUND_ALPHA * LANES + k] = (
-            state[K_S + k],
-            state[ALPHA + k],
-        )
+        found[FOUND_K_S * LANES + k] = state[K_S + k]
+        found[FOUND_ALPHA * LANES + k] = state[ALPHA + k]
         found[FOUND_COST * LANES + k] = eq[COST + k]
         found[FOUND_LN_ALPHA * LANES + k] = state[LN_ALPHA + k]
         found[FOUND_LN_RATIO * LANES + k] = state[LN_RATIO + k]
+    _tell_known(found, views, pixels)
+    for c in range(RESULTS):
+        row = found[c * LANES : (c + 1) * LANES]
+        if c != LEDS:
+            for k in range(LANES):
+                row[k] *= found[_KNOWN + k]
+        _write(row, pixels, out[c])
+
+
+@kernel
+def _tell_known(found, views, pixels):
+    """Which lanes have a normal: it faces the camera, and enough LEDs show light."""
     for k in range(len(pixels)):
-        at, facing = pixels[k], ZERO
+        facing = ZERO
         for c in range(3):
-            facing += views[at, c] * found[c * LANES + k]
-        known = facing > 0 and found[LEDS * LANES + k] >= 4 and found[RESIDUAL * LANES + k] >= 0
-        for c in range(RESULTS):
-            out[at, c] = found[c * LANES + k] if known else np.nan
-        out[at, LEDS] = found[LEDS * LANES + k]
+            facing += views[pixels[k], c] * found[c * LANES + k]
+        found[_KNOWN + k] = facing
+    for k in range(LANES):
+        known = (found[_KNOWN + k] > 0) & (found[RESIDUAL * LANES + k] >= 0)
+        known = known & (found[LEDS * LANES + k] >= MIN_LEDS)
+        found[_KNOWN + k] = ONE if known else np.float32(np.nan)
+
+
+@kernel
+def _write(row, pixels, out):
+    count, first = len(pixels), pixels[0]
+    if pixels[count - 1] - first == count - 1:
+        for k in range(count):
+            out[first + k] = row[k]
+    else:
+        for k in range(count):
+            out[pixels[k]] = row[k]

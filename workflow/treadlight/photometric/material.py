@@ -13,7 +13,7 @@ import numpy as np
 
 from treadlight.photometric import map_kernels, map_report, map_starts
 from treadlight.photometric.observations import Observations
-from treadlight.threads import by_ranges
+from treadlight.threads import by_ranges, share
 
 _SEARCH_PX, _LOBE_PX, _SAMPLE_PX = 256, 1024, 4096
 # As many pixels of a strip stand as far apart as strips do: their LEDs stand most alike.
@@ -25,6 +25,8 @@ _SEARCH_STD, _FIRST_STD = 0.3, 0.7
 # Misfit of a model that is about right, relative to the light: the search needs no better.
 _SEARCH_MISFIT = 0.1
 _ROUNDS = 12
+# Rows of an image that are fitted one after the other; bands of them are shared among cores.
+_BAND_ROWS = 32
 # Lobes that are tried, from the shortest tails on: gamma infinite, 8, 4, 2, 1.
 BLINN_PHONG = -1
 _SQUARINGS = (BLINN_PHONG, 3, 2, 1, 0)
@@ -73,25 +75,31 @@ class Material:
         return np.array(values, np.float32)
 
 
-def fit(observations: Observations, material: Material, enough: float = 0.0) -> np.ndarray:
-    """The kernel's results, (n, map_report.RESULTS) float64.
+def fit(
+    observations: Observations, material: Material, enough: float = 0.0, width: int | None = None
+) -> np.ndarray:
+    """The kernel's results, (n, map_report.RESULTS) float32.
 
-    A pixel is fitted from its best start alone if that leaves a cost of at most `enough` per degree
-    of freedom.
+    A pixel needs no other start if one leaves a cost of at most `enough` per degree of freedom.
+    With `width`, the pixels are those of an image, row by row, with so many in a row: they start
+    where the ones above ended, within bands of rows.
     """
-    out = np.empty((observations.intensity.shape[1], map_report.RESULTS))
+    out = np.empty((map_report.RESULTS, observations.intensity.shape[1]), np.float32)
+    band = _BAND_ROWS * width if width else map_kernels.SPAN
     by_ranges(
         map_kernels.fit_pixels,
-        len(out),
-        map_kernels.SPAN,
+        -(-out.shape[1] // band),
+        1,
         *observations.arrays(),
         _directions(),
         material.packed,
         np.float32(material.misfit**2),
         np.float32(enough),
+        width or 0,
+        band,
         out,
     )
-    return out
+    return out.T
 
 
 def _directions() -> np.ndarray:
@@ -118,15 +126,22 @@ def learn_material(observations: Observations) -> Material:
 def _choose_lobe(sample: Observations) -> Material:
     """The material, of any lobe, with which the LEDs predict each other best."""
     some, few = spread(sample, _LOBE_PX), spread(sample, _SEARCH_PX)
-    trials = [settle(some, search(few, squarings), _ROUNDS) for squarings in _SQUARINGS]
-    errors = np.stack([_prediction_error(sample, trial) for trial in trials])
+    trials: dict[int, Material] = {}
+    errors_of: dict[int, np.ndarray] = {}
+
+    def try_lobe(squarings: int) -> None:
+        trials[squarings] = settle(some, search(few, squarings), _ROUNDS)
+        errors_of[squarings] = _prediction_error(sample, trials[squarings])
+
+    share(try_lobe, _SQUARINGS)
+    errors = np.stack([errors_of[squarings] for squarings in _SQUARINGS])
     errors = errors[:, np.isfinite(errors).all(axis=0)]
     if errors.shape[1] < 2:
-        return trials[0]
+        return trials[BLINN_PHONG]
     best = int(np.argmin(errors.mean(axis=1)))
     gain = errors[0] - errors[best]
     sure = gain.mean() > _SIGMAS * gain.std() / np.sqrt(len(gain))
-    return trials[best if sure else 0]
+    return trials[_SQUARINGS[best if sure else 0]]
 
 
 def _prediction_error(sample: Observations, material: Material) -> np.ndarray:
@@ -147,7 +162,7 @@ def _prediction_error(sample: Observations, material: Material) -> np.ndarray:
 def settle(sample: Observations, material: Material, rounds: int) -> Material:
     """The sample's material by expectation and maximisation, from a first one."""
     for _ in range(rounds):
-        found = fit(sample, material)
+        found = fit(sample, material).astype(np.float64)
         cost = found[:, map_report.FOUND_COST]
         known = np.isfinite(cost)
         if not known.any():
@@ -197,7 +212,9 @@ def search(sample: Observations, squarings: int = BLINN_PHONG) -> Material:
             cost = fit(sample, trial)[:, map_report.FOUND_COST]
             cost = cost[np.isfinite(cost)]
             # The logarithm: a material that fits most pixels wins, whatever the others are.
-            total = float(np.mean(np.log(cost + _LEAST_MISFIT))) if len(cost) else 0.0
+            total = (
+                float(np.mean(np.log(cost + _LEAST_MISFIT), dtype=np.float64)) if len(cost) else 0.0
+            )
             if best is None or total < least:
                 best, least = trial, total
     assert best is not None
@@ -229,6 +246,7 @@ def _misfit(sample: Observations, found: np.ndarray, kept: np.ndarray, material:
 
 def rerender(observations: Observations, found: np.ndarray, material: Material) -> np.ndarray:
     """What the model shows of the kernel's results, (n_leds, n)."""
+    found = np.asarray(found, np.float64)
     normal = found[:, map_report.NORMAL_X : map_report.NORMAL_Z + 1]
     k_d, k_s, alpha = found[:, map_report.FOUND_K_D : map_report.FOUND_ALPHA + 1].T
     half = observations.lights + observations.views

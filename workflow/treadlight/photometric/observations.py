@@ -95,7 +95,7 @@ def estimate_of(
     fewest : int
         With fewer LEDs the flag is few_leds, else poor_fit where there is no normal.
     """
-    columns = columns.astype(np.float32)
+    columns = columns.astype(np.float32, copy=False)
     nothing = ~np.isfinite(columns[:, 0])
     flags = np.where(used < fewest, FEW_LEDS, np.where(nothing, POOR_FIT, np.uint8(0)))
     return Estimate(
@@ -106,5 +106,5 @@ def estimate_of(
         residual=columns[:, 6],
         leds_used=used.astype(np.uint8),
         flags=flags.astype(np.uint8),
-        covariance=np.clip(covariance, -WORST_RAD2, WORST_RAD2).astype(np.float32),
+        covariance=np.clip(covariance, -WORST_RAD2, WORST_RAD2).astype(np.float32, copy=False),
     )

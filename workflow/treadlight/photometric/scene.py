@@ -147,17 +147,29 @@ def cut_patch(
     else:
         rows = np.arange(max(low, 0), min(high, count))
     first = float(rows[0]) if len(rows) else 0.0
-    known = r_std[np.isfinite(r_std)]
-    typical = float(np.median(known)) if known.size else 0.0
-    std = r_std[rows % count]
     return SurfacePatch(
         phi_0=(first - float(start)) * grid.step_theta,
         step_phi=grid.step_theta,
         z_0=float(grid.z[0]),
         step_z=grid.step_z,
-        r=np.ascontiguousarray(r[rows % count], np.float32),
-        r_std=np.where(np.isfinite(std), std, typical).astype(np.float32),
+        r=np.ascontiguousarray(_take_rows(r, rows), np.float32),
+        r_std=np.ascontiguousarray(_take_rows(_filled(r_std), rows), np.float32),
     )
+
+
+def _take_rows(field: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Consecutive rows of a field, counted on around the turn; not copied unless they wrap."""
+    if len(rows) and rows[0] >= 0 and rows[-1] < len(field):
+        return field[rows[0] : rows[-1] + 1]
+    return field[rows % len(field)]
+
+
+def _filled(std: np.ndarray) -> np.ndarray:
+    """With the median where it is not known; 0 if none is."""
+    known = np.isfinite(std)
+    if known.all():
+        return std
+    return np.where(known, std, np.median(std[known]) if known.any() else 0.0)
 
 
 def coarsen(patch: SurfacePatch, cell_mm: float) -> SurfacePatch:

@@ -29,6 +29,8 @@ from treadlight.threads import by_ranges, share
 _CHUNK_PX = 1 << 16
 _LEAST_PX = 1 << 13
 _SAMPLE_PX = 20_000
+# Medians of more are those of so many, evenly spaced.
+_SPREAD_PX = 1_000_000
 _MAD_TO_STD = 1.4826
 _POOR_SIGMAS = 3.0
 
@@ -134,7 +136,7 @@ def solve_view(
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
     counts = _gather(light, sample, memory)
     observed, _, _ = _observe(view, patch, obstacles, sample, counts)
-    estimator = _estimator(observed, settings)
+    estimator = _estimator(observed, settings, width)
     maps = _empty_maps(total, memory)
 
     def solve(chunk: range) -> None:
@@ -172,11 +174,11 @@ def _gather(light: np.ndarray, pixels: np.ndarray, memory: Memory | Spool) -> np
 
 
 def _estimator(
-    sample: Observations, settings: PhotometrySettings
+    sample: Observations, settings: PhotometrySettings, width: int
 ) -> Callable[[Observations], Estimate]:
     """The method, with what it learns from a sample of the view."""
     if settings.method == "map":
-        return partial(map_normals, material=learn_material(sample))
+        return partial(map_normals, material=learn_material(sample), width=width)
     refinements = settings.max_refinements
     misfit = typical_misfit(sample, max_refinements=refinements)
     return partial(sps, max_refinements=refinements, misfit=misfit)
@@ -196,8 +198,23 @@ def _in_view_frame(axis: Axis, points: np.ndarray) -> np.ndarray:
 
 def _pixel_directions(view: View, pixels: np.ndarray) -> np.ndarray:
     """Viewing rays (n, 3) of pixels (n,), counted row by row, in {V}."""
-    v, u = np.divmod(pixels, view.camera.size_px[0])
-    return view.camera.rays(np.column_stack([u, v])) @ view.axis.basis.T
+    camera, found = view.camera, np.empty((len(pixels), 3))
+    by_ranges(
+        view_kernels.directions, len(pixels), _LEAST_PX,
+        pixels, camera.size_px[0], camera.intrinsics, tuple(camera.distortion.tolist()),
+        np.ascontiguousarray(view.axis.basis), found,
+    )  # fmt: skip
+    return found
+
+
+def _in_camera(view: View, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3), phi, z, r in {V}, in {C}."""
+    found = np.empty(points.shape)
+    by_ranges(
+        view_kernels.to_camera, len(points), _LEAST_PX,
+        points, np.ascontiguousarray(view.axis.basis), view.axis.point, found,
+    )  # fmt: skip
+    return found
 
 
 def needed_rows(view: View, grid: CylinderGrid) -> np.ndarray:
@@ -246,7 +263,8 @@ def _angles_at(view: View, radii: np.ndarray) -> tuple[float, float]:
 
 def _obstacles(patch: scene.SurfacePatch) -> scene.SurfacePatch:
     """The patch for shadow rays: detail finer than its own uncertainty would only cost time."""
-    cell = float(np.median(patch.r_std)) if patch.r_std.size else 0.0
+    some = patch.r_std.ravel()[:: max(1, patch.r_std.size // _SPREAD_PX)]
+    cell = float(np.median(some)) if some.size else 0.0
     return scene.coarsen(patch, cell)
 
 
@@ -274,8 +292,7 @@ def _observe(
     width = view.camera.size_px[0]
     points = scene.cast(patch, origin, _pixel_directions(view, pixels), width)
     lit = scene.lit(obstacles, points, leds, width)
-    phi, z, r = points.T
-    in_camera = view.axis.to_camera(phi - view.encoder, z, r, view.encoder)
+    in_camera = _in_camera(view, points)
     shape = lit.shape
     irradiance = np.empty(shape)
     for m, k in enumerate(view.leds):
@@ -330,15 +347,17 @@ def _place(
 
 
 def _is_poor(residual: np.ndarray) -> np.ndarray:
-    """Residuals that stand three robust standard deviations above the view's, on a log scale."""
-    logarithm = np.log(np.maximum(residual, 1e-6))
-    known = logarithm[np.isfinite(logarithm)]
+    """Residuals that stand three robust standard deviations above the view's, on a log scale.
+
+    Those of a sample of the view tell: of a million pixels, to less than a hundredth of them.
+    """
+    some = residual[:: max(1, len(residual) // _SPREAD_PX)]
+    known = np.log(np.maximum(some[np.isfinite(some)], 1e-6))
     if not known.size:
         return np.zeros(residual.shape, bool)
-    middle = np.median(known, overwrite_input=True)
-    known -= middle
-    spread = _MAD_TO_STD * np.median(np.abs(known, out=known), overwrite_input=True)
-    return logarithm > middle + _POOR_SIGMAS * spread
+    middle = np.median(known)
+    spread = _MAD_TO_STD * np.median(np.abs(known - middle))
+    return residual > np.exp(middle + _POOR_SIGMAS * spread)
 
 
 def _reshaped(maps: ViewNormals, height: int, width: int) -> ViewNormals:

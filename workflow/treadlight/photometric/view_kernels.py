@@ -1,7 +1,8 @@
-"""What a view's pixels saw, compiled: light and vectors of all LEDs in one pass over the pixels.
+"""What a view's pixels saw, compiled: their rays, and light and vectors of all LEDs in one pass.
 
 A pixel and LED takes some 30 operations in double precision, vectorised in runs of pixels, and
-reads 13 and writes 21 bytes.
+reads 13 and writes 21 bytes. Rays are undistorted as OpenCV does it, to the same 1e-8 pixels, in a
+fifth of its time.
 """
 
 import math
@@ -9,9 +10,69 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
+from treadlight.photometric.height_field import cos_sin
 from treadlight.photometric.observations import OUTSIDE, SATURATED, SHADOWED
 
 _RUN = 256
+# Of the undistortion's fixed point, as `Camera` asks it of OpenCV: a share of the focal length.
+_MOST_ROUNDS, _STILL = 40, 1e-12
+
+
+@kernel(allocates=True)
+def directions(begin, end, pixels, width, intrinsics, distortion, basis, out):
+    """Viewing rays of pixels begin to end - 1 of (n,), counted row by row, into out (n, 3).
+
+    `intrinsics` are `Camera.intrinsics`, `distortion` k1, k2, p1, p2, k3, `basis` (3, 3) the axes
+    that the rays are given along, in {C}.
+    """
+    fx, skew, cx, fy, cy = intrinsics
+    x0, y0, x, y = np.empty(_RUN), np.empty(_RUN), np.empty(_RUN), np.empty(_RUN)
+    moved = np.empty(_RUN)
+    for first in range(begin, end, _RUN):
+        count = min(_RUN, end - first)
+        for k in range(count):
+            row = pixels[first + k] // width
+            y0[k] = (row - cy) / fy
+            x0[k] = (pixels[first + k] - row * width - cx - skew * y0[k]) / fx
+        _undistort(distortion, x0[:count], y0[:count], x, y, moved)
+        for k in range(count):
+            for c in range(3):
+                out[first + k, c] = basis[c, 0] * x[k] + basis[c, 1] * y[k] + basis[c, 2]
+
+
+@kernel
+def _undistort(distortion, x0, y0, x, y, moved):
+    """Places x, y that a lens shows at x0, y0: the same until it stands still."""
+    k1, k2, p1, p2, k3 = distortion
+    for k in range(len(x0)):
+        x[k], y[k] = x0[k], y0[k]
+    for _ in range(_MOST_ROUNDS):
+        for k in range(len(x0)):
+            xk, yk = x[k], y[k]
+            r2 = xk * xk + yk * yk
+            inverse = 1.0 / (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+            x[k] = (x0[k] - 2.0 * p1 * xk * yk - p2 * (r2 + 2.0 * xk * xk)) * inverse
+            y[k] = (y0[k] - p1 * (r2 + 2.0 * yk * yk) - 2.0 * p2 * xk * yk) * inverse
+            moved[k] = abs(x[k] - xk) + abs(y[k] - yk)
+        # By itself, so that the loop before is vectorised.
+        most = 0.0
+        for k in range(len(x0)):
+            most = max(most, moved[k])
+        if most <= _STILL:
+            break
+
+
+@kernel
+def to_camera(begin, end, points, basis, foot, out):
+    """Points begin to end - 1 of (n, 3), phi, z, r in {V}, to {C}: out (n, 3).
+
+    `basis` (3, 3) are the axes of {V} in {C}, `foot` (3,) its origin.
+    """
+    for k in range(begin, end):
+        c, s = cos_sin(points[k, 0])
+        x, y, z = points[k, 2] * c, points[k, 2] * s, points[k, 1]
+        for i in range(3):
+            out[k, i] = x * basis[0, i] + y * basis[1, i] + z * basis[2, i] + foot[i]
 
 
 @kernel(allocates=True)
