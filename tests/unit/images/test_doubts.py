@@ -35,6 +35,17 @@ def test_a_healthy_view_raises_no_doubt(rng):
     assert doubts.doubts_of_view(looks(view(rng)), "rows") == {}
 
 
+def test_what_is_saturated_counts_as_full_scale(rng):
+    """Whatever was stored there: a white level may lie far below the type's largest count."""
+    frame = view(rng)[0]
+    bright = frame > np.quantile(frame, 0.8)
+    whole = doubts.look_at(LinearFrame(np.where(bright, np.float32(1), frame), bright))
+    clipped = doubts.look_at(LinearFrame(np.where(bright, np.float32(0.2), frame), bright))
+    assert clipped.level == whole.level
+    np.testing.assert_array_equal(clipped.small, whole.small)
+    np.testing.assert_array_equal(clipped.pattern, whole.pattern)
+
+
 @pytest.mark.parametrize("k", range(LEDS))
 def test_a_frame_that_moved_along_the_travel_is_found(rng, k):
     frames = view(rng)

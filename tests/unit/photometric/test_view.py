@@ -7,6 +7,7 @@ import pytest
 
 from treadlight.geometry import Camera, CylinderGrid
 from treadlight.photometric import PhotometrySettings, View, solve_view, view_kernels
+from treadlight.photometric import view as view_module
 from treadlight.photometric.observations import OUTSIDE, POOR_FIT, SATURATED, SHADOWED
 from treadlight.photometric.view import needed_rows
 
@@ -119,10 +120,16 @@ def test_a_wall_shadows_some_leds_beside_it(view, bench):
     assert (found.leds_used[foot] < 16).mean() > 0.95
 
 
-def test_a_stain_fits_poorly(view, bench):
-    """Light that comes from elsewhere at single LEDs shows in the residual."""
+@pytest.mark.parametrize("sample_px", [300, 1_000_000])
+def test_a_stain_fits_poorly(view, bench, monkeypatch, sample_px):
+    """Light that comes from elsewhere at single LEDs shows in the residual.
+
+    Whatever part of a view's pixels, from all over it, says how large residuals are.
+    """
+    monkeypatch.setattr(view_module, "_SPREAD_PX", sample_px)
     intensity = view.intensity.copy()
     intensity[::3, 10:14, 30:34] *= 3
+    intensity[::3, :6] *= 3
     found = solve(dataclasses.replace(view, intensity=intensity), bench)
     poor = (found.quality & POOR_FIT) > 0
     assert poor[10:14, 30:34].all()
