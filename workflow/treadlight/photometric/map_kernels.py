@@ -224,6 +224,17 @@ def _finish(seen, pixels, states, material, first2, misfit2, enough, room, queue
 
 
 @kernel(allocates=True)
+def _finish_all(seen, queue, count, material, first2, misfit2, enough, room, doubtful, left):
+    """Finish a queue of `count`; how many wait in the other one then, which had `left`."""
+    for k in range(0, count, LANES):
+        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
+        left = _finish(
+            seen, pixels, states, material, first2, misfit2, enough, room, doubtful, left
+        )
+    return left
+
+
+@kernel(allocates=True)
 def _try_starts(seen, pixels, states, base, material, first2, room, queue, count):
     """Which pixels of a block are explained better from one of their starts; these wait there."""
     leds, state, trial, t, work, eq, eq_trial, step, least, changed, look = room[:11]
@@ -291,27 +302,17 @@ def _fit_span(seen, span, width, first_row, base, material, misfit2, enough, roo
     for k in range(0, n_new, LANES):
         pixels = new[k : min(k + LANES, n_new)]
         count = _begin(seen, pixels, base, material, first2, room, queue, count)
-    for k in range(0, count, LANES):
-        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
-        left = _finish(
-            seen, pixels, states, material, first2, misfit2, enough, room, doubtful, left
-        )
+    left = _finish_all(seen, queue, count, material, first2, misfit2, enough, room, doubtful, left)
     count = 0
     for k in range(0, n_above, LANES):
         pixels = above[k : min(k + LANES, n_above)]
         count = _fit_from_above(seen, pixels, width, material, misfit2, enough, room, queue, count)
-    for k in range(0, count, LANES):
-        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
-        left = _finish(
-            seen, pixels, states, material, misfit2, misfit2, enough, room, doubtful, left
-        )
+    left = _finish_all(seen, queue, count, material, misfit2, misfit2, enough, room, doubtful, left)
     count = 0
     for k in range(0, left, LANES):
         pixels, states = doubtful[0][k : min(k + LANES, left)], doubtful[1][k // LANES]
         count = _try_starts(seen, pixels, states, base, material, first2, room, queue, count)
-    for k in range(0, count, LANES):
-        pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
-        _finish(seen, pixels, states, material, first2, misfit2, nobody, room, doubtful, 0)
+    _finish_all(seen, queue, count, material, first2, misfit2, nobody, room, doubtful, 0)
 
 
 @kernel(allocates=True)
