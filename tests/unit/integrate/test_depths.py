@@ -80,3 +80,12 @@ def test_points_that_hang_between_lips_and_floor_reached_nothing(grid, slots):
     for row in (20, 60, 180):
         assert found[row, 10] == pytest.approx((width_mm + TREAD_MM) / 2)
         assert std[row, 10] == pytest.approx((TREAD_MM - width_mm) / np.sqrt(12))
+
+
+def test_as_many_points_at_the_lips_as_deep_decide_nothing(grid, slots):
+    """Twelve of 23 hang in narrow cuts: one more or less, and a kind of cut would be flat."""
+    columns = np.concatenate([np.arange(6, 24), np.arange(6, 11)])
+    rows = np.repeat([20, 60], [18, 5])
+    laser = points(rows, columns, np.where(np.arange(23) < 12, HANGING_MM, 0.0))
+    found, _ = depths(slots, grid, laser)
+    np.testing.assert_allclose(found[20:22, 5:25], (NARROW * STEP + TREAD_MM) / 2)

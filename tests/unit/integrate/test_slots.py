@@ -9,7 +9,8 @@ from treadlight.geometry import CylinderGrid
 from treadlight.integrate import FirstSurface, LaserSections, ViewNormals, integrate_capture
 from treadlight.integrate.gather import view_field
 from treadlight.integrate.laser import LaserCells, laser_cells
-from treadlight.integrate.slots import _briefly, _cut_lines, close_cuts
+from treadlight.integrate.patches import find_patches
+from treadlight.integrate.slots import _briefly, _cut_lines, _lost_share, _off_tread, close_cuts
 
 RADIUS = 300.0
 STEP = 0.5
@@ -290,3 +291,35 @@ def test_a_dark_ring_is_no_cut_even_where_views_see_less_than_half_of_it(rng):
     lines = _cut_lines(dark, laser, np.ones(len(row), bool), grid)
     assert not lines[:, 40].any()
     assert (lines[32:48, 10] > 0).all()
+
+
+@pytest.mark.parametrize(("row", "is_cut"), [(31, True), (34, False)])
+def test_a_section_that_brushes_a_slots_rim_says_little_of_it(row, is_cut):
+    """Five of nine points are on the tread: at the rim that is the lip, in the middle no cut is."""
+    grid = CylinderGrid((np.arange(100) - 50) * STEP / RADIUS, np.arange(20) * STEP, RADIUS)
+    mask = np.zeros(grid.shape, bool)
+    mask[31:39, 1:18] = mask[61:69, 1:18] = True
+    brushed, met = np.arange(5, 14), np.arange(5, 16)
+    column = np.concatenate([brushed, met])
+    rows = np.repeat([row, 65], [len(brushed), len(met)])
+    lost = np.concatenate([brushed >= 10, np.ones(len(met), bool)])
+    laser = LaserCells(rows, column, 0.0 * rows, 0.0 * rows, rows)
+    share = _lost_share(find_patches(mask, grid), laser, lost, grid)
+    assert share[1] > 0.9
+    assert (share[0] > 0.5) == is_cut
+
+
+def test_a_lips_few_calm_points_in_a_groove_do_not_make_the_tread_one():
+    """Of a column that a lip breaks nearly all around, the unbroken part lies in a wider groove."""
+    grid = CylinderGrid((np.arange(240) - 120) * STEP / RADIUS, np.arange(-5, 5, STEP), RADIUS)
+    broken = np.ones(grid.shape, bool)
+    broken[100:140] = False
+    row = np.arange(4, 240, 8)
+    deep = ~broken[row, 3]
+    value = RADIUS - SLOT_MM * deep
+    count = len(row)
+    laser = LaserCells(row, np.full(count, 3), value, np.full(count, LASER_STD), np.arange(count))
+    depth = np.zeros(grid.shape[1])
+    off = _off_tread(laser, find_patches(broken, grid), depth, LASER_STD, grid)
+    assert deep.sum() >= 3
+    assert not off[~deep].any()

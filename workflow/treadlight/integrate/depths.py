@@ -12,8 +12,10 @@ from treadlight.integrate.patches import Kinds, Patches, kinds_of, way_out
 # The depth of a cell is the median of this many points next to it in the same slot.
 _NEAREST = 60
 _LEAST_POINTS = 5
-# The floors of a kind of slot are reached where the greater part of the points in it lie deep.
-_MOSTLY = 0.5
+# The floors of a kind of slot are reached where the greater part of the points in it lie deep, by
+# two standard deviations of what lies deep and not with equal odds.
+_ODDS = 0.5
+_SURELY = 2.0
 
 
 def slot_depths(
@@ -113,8 +115,9 @@ def _reached(
     for k in range(slots.count):
         kind = kinds.alike(k)
         inner, every = points[:, kind].sum(axis=1)
-        which = 0 if inner >= _LEAST_POINTS else 1
-        reached[k] = found[which, kind].sum() > _MOSTLY * (inner, every)[which]
+        which, count = (0, inner) if inner >= _LEAST_POINTS else (1, every)
+        margin = _SURELY * np.sqrt(_ODDS * (1 - _ODDS) * count)
+        reached[k] = found[which, kind].sum() > _ODDS * count + margin
     return reached
 
 

@@ -244,7 +244,8 @@ def _cut_lines(
     lines = dark_lines(dark, grid)
     lines *= _across(lines > 0, _seen_rows(dark))
     patches = find_patches(lines > 0, grid)
-    return np.where(patches.select(_lost_share(patches, laser, lost) > _MOSTLY).mask, lines, 0)
+    kept = patches.select(_lost_share(patches, laser, lost, grid) > _MOSTLY)
+    return np.where(kept.mask, lines, 0)
 
 
 def _seen_rows(dark: np.ndarray) -> np.ndarray:
@@ -271,22 +272,29 @@ def _briefly(mask: np.ndarray, seen: np.ndarray, grid: CylinderGrid) -> np.ndarr
     return _across(mask, seen) & (inside < _AROUND * every)
 
 
-def _lost_share(patches: Patches, laser: LaserCells, lost: np.ndarray) -> np.ndarray:
+def _lost_share(
+    patches: Patches, laser: LaserCells, lost: np.ndarray, grid: CylinderGrid
+) -> np.ndarray:
     """Share (count,) of the points in each patch that are lost; NaN where nothing tells.
 
-    That of all patches of its like counts as one more point.
+    A point counts as much as it lies inside: a section that brushes a cut's rim runs over its lip,
+    and says little of the cut. That of all patches of its like counts as one more in the middle.
     """
     label = patches.label[laser.row, laser.column]
-    points = np.bincount(label, minlength=patches.count + 1)[1:]
-    gone = np.bincount(label[lost], minlength=patches.count + 1)[1:]
+    inside = way_out(patches.mask, grid)
+    middle = np.ones(patches.count + 1)
+    middle[1:] = ndimage.maximum(inside, patches.label, np.arange(1, patches.count + 1))
+    weight = inside[laser.row, laser.column] / middle[label]
+    points = np.bincount(label, weight, minlength=patches.count + 1)[1:]
+    gone = np.bincount(label, weight * lost, minlength=patches.count + 1)[1:]
     kinds = kinds_of(patches)
-    total, missed = points.astype(float), gone.astype(float)
+    total, missed = points.copy(), gone.copy()
     for k in range(patches.count):
         alike = kinds.alike(k) & (points > 0)
         if alike.any():
             total[k] += 1
             missed[k] += gone[alike].sum() / points[alike].sum()
-    return np.where(total > 0, missed / np.maximum(total, 1), np.nan)
+    return np.where(total > 0, missed / np.where(total > 0, total, 1), np.nan)
 
 
 def _slots(
@@ -308,7 +316,7 @@ def _slots(
     mode = grid.filter_mode
     filled = ndimage.minimum_filter(ndimage.maximum_filter(outline, 3, mode=mode), 3, mode=mode)
     patches = find_patches(filled & cut, grid)
-    share = _lost_share(patches, laser, lost)
+    share = _lost_share(patches, laser, lost, grid)
     met = (share > _MOSTLY) | (patches.share((lines > 0) | hidden) > _SEEN_SHARE)
     kept = (patches.share(seen) > _SEEN_SHARE) & (met | np.isnan(share))
     return patches.select(kept), met[kept]
@@ -390,7 +398,10 @@ def _off_tread(
     groove = depth > 1 - _GROOVE_DEPTH
     depth = depth[laser.column]
     calm = (away > _BESIDE_CELLS) | (depth > _GROOVE_DEPTH)
-    height = laser.value - _median_along(laser, calm, grid)
+    # Nothing stands out of the tread: at a lip the few that lie beside no cut may lie in a groove.
+    every = np.ones(len(laser.value), bool)
+    tread = np.maximum(*(_median_along(laser, some, grid) for some in (calm, every)))
+    height = laser.value - tread
     usual = np.hypot(std, laser.std)
     deviation = np.where(_on_bars(laser, height > _OFF_SIGMA * usual, groove), 0, np.abs(height))
     aside = _BESIDE_CELLS + _ASIDE * deviation / grid.step_z
