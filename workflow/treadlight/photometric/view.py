@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -25,8 +24,9 @@ from treadlight.photometric.sps import sps, typical_misfit
 from treadlight.spool import IN_MEMORY, Memory, Spool
 from treadlight.threads import by_ranges, share
 
-# Pixels per chunk, about: keeps 16 LEDs' vectors and masks below 32 MiB a core.
-_CHUNK_PX = 1 << 16
+# Of a chunk: keeps 16 LEDs' vectors and masks below 32 MiB a core. Pixels of its first row have
+# none above to begin where that one ended: at four times the time of another.
+_CHUNK_ROWS, _CHUNK_COLUMNS = 64, 1024
 _LEAST_PX = 1 << 13
 _SAMPLE_PX = 20_000
 # Medians of more are those of so many, evenly spaced.
@@ -132,36 +132,37 @@ def solve_view(
     obstacles = _obstacles(patch)
     height, width = view.intensity.shape[1:]
     total = height * width
-    light = view.intensity.reshape(len(view.leds), total)
     sample = np.arange(0, total, max(1, total // _SAMPLE_PX))
-    counts = _gather(light, sample, memory)
+    counts = _gather(view.intensity.reshape(len(view.leds), total), sample, memory)
     observed, _, _ = _observe(view, patch, obstacles, sample, counts)
-    estimator = _estimator(observed, settings, width)
-    maps = _empty_maps(total, memory)
+    estimator = _estimator(observed, settings)
+    maps = _empty_maps(height, width, memory)
 
-    def solve(chunk: range) -> None:
-        pixels = np.arange(chunk.start, chunk.stop)
-        counts = light[:, chunk.start : chunk.stop]
-        observed, points, quality = _observe(view, patch, obstacles, pixels, counts)
-        _place(maps, pixels, estimator(observed), points, quality, view.encoder)
+    def solve(chunk: tuple[slice, slice]) -> None:
+        light = view.intensity[:, *chunk]
+        columns = light.shape[2]
+        counts = light.reshape(len(light), -1)
+        observed, points, quality = _observe(
+            view, patch, obstacles, _pixels(chunk, width), counts, columns
+        )
+        _place(maps, chunk, estimator(observed, columns), points, quality, view.encoder)
         memory.release()
 
     # Each core has its own chunk, so that what is not compiled is shared among them too.
-    share(solve, _chunks(width, height))
-    poor = _is_poor(maps.residual)
-    maps.quality[poor] |= POOR_FIT
-    found = _reshaped(maps, height, width)
-    scale = covariance_scale(found.normal, found.normal_cov, found.theta, found.z, found.r)
-    np.multiply(found.normal_cov, np.float32(scale**2), out=found.normal_cov)
+    share(solve, _chunks(height, width))
+    maps.quality[_is_poor(maps.residual)] |= POOR_FIT
+    scale = covariance_scale(maps.normal, maps.normal_cov, maps.theta, maps.z, maps.r)
+    np.multiply(maps.normal_cov, np.float32(scale**2), out=maps.normal_cov)
     memory.release()
-    return found
+    return maps
 
 
 def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
     """All pixels of a view as `solve_view` gives them to its method, row by row."""
     patch = scene.cut_patch(grid, r, r_std, view.encoder, _seen_angles(view, r))
     counts = view.intensity.reshape(len(view.leds), -1)
-    return _observe(view, patch, _obstacles(patch), np.arange(counts.shape[1]), counts)[0]
+    pixels, width = np.arange(counts.shape[1]), view.intensity.shape[2]
+    return _observe(view, patch, _obstacles(patch), pixels, counts, width)[0]
 
 
 def _gather(light: np.ndarray, pixels: np.ndarray, memory: Memory | Spool) -> np.ndarray:
@@ -174,21 +175,31 @@ def _gather(light: np.ndarray, pixels: np.ndarray, memory: Memory | Spool) -> np
 
 
 def _estimator(
-    sample: Observations, settings: PhotometrySettings, width: int
-) -> Callable[[Observations], Estimate]:
-    """The method, with what it learns from a sample of the view."""
+    sample: Observations, settings: PhotometrySettings
+) -> Callable[[Observations, int], Estimate]:
+    """The method, of pixels with so many a row, with what it learns from a sample of the view."""
     if settings.method == "map":
-        return partial(map_normals, material=learn_material(sample), width=width)
+        material = learn_material(sample)
+        return lambda seen, width: map_normals(seen, material=material, width=width)
     refinements = settings.max_refinements
     misfit = typical_misfit(sample, max_refinements=refinements)
-    return partial(sps, max_refinements=refinements, misfit=misfit)
+    return lambda seen, _: sps(seen, max_refinements=refinements, misfit=misfit)
 
 
-def _chunks(width: int, height: int) -> Iterator[range]:
-    """Pixels of whole rows: neighbours are found to be lit together."""
-    total, size = width * height, width * max(1, _CHUNK_PX // width)
-    for start in range(0, total, size):
-        yield range(start, min(total, start + size))
+def _chunks(height: int, width: int) -> Iterator[tuple[slice, slice]]:
+    """Rows and columns of parts of an image, row by row."""
+    for row in range(0, height, _CHUNK_ROWS):
+        for column in range(0, width, _CHUNK_COLUMNS):
+            yield (
+                slice(row, min(height, row + _CHUNK_ROWS)),
+                slice(column, min(width, column + _CHUNK_COLUMNS)),
+            )
+
+
+def _pixels(chunk: tuple[slice, slice], width: int) -> np.ndarray:
+    """Numbers (n,) of a chunk's pixels in an image of a width, counted row by row."""
+    rows, columns = (np.arange(part.start, part.stop) for part in chunk)
+    return (rows[:, None] * width + columns).ravel()
 
 
 def _in_view_frame(axis: Axis, points: np.ndarray) -> np.ndarray:
@@ -274,10 +285,12 @@ def _observe(
     obstacles: scene.SurfacePatch,
     pixels: np.ndarray,
     counts: np.ndarray,
+    width: int | None = None,
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
     """What pixels saw, in the local basis (r, theta, z) of their scene points.
 
-    `counts` (n_leds, n) are the view's intensities there.
+    `counts` (n_leds, n) are the view's intensities there; with `width`, the pixels are those of a
+    rectangle, row by row, with so many in a row.
 
     Returns
     -------
@@ -289,7 +302,6 @@ def _observe(
     origin = _in_view_frame(view.axis, np.zeros(3))
     leds = np.array([view.light.leds[k].position for k in view.leds])
     leds = _in_view_frame(view.axis, leds)
-    width = view.camera.size_px[0]
     points = scene.cast(patch, origin, _pixel_directions(view, pixels), width)
     lit = scene.lit(obstacles, points, leds, width)
     in_camera = _in_camera(view, points)
@@ -313,12 +325,12 @@ def _observe(
     return seen, points, quality
 
 
-def _empty_maps(total: int, memory: Memory | Spool) -> ViewNormals:
+def _empty_maps(height: int, width: int, memory: Memory | Spool) -> ViewNormals:
     def floats(*size: int) -> np.ndarray:
-        return memory.empty((total, *size), np.float32)
+        return memory.empty((height, width, *size), np.float32)
 
     def counts() -> np.ndarray:
-        return memory.empty((total,), np.uint8)
+        return memory.empty((height, width), np.uint8)
 
     return ViewNormals(
         floats(3), floats(3), floats(), floats(), floats(), floats(), counts(),
@@ -328,22 +340,29 @@ def _empty_maps(total: int, memory: Memory | Spool) -> ViewNormals:
 
 def _place(
     maps: ViewNormals,
-    pixels: np.ndarray,
+    chunk: tuple[slice, slice],
     estimate: Estimate,
     points: np.ndarray,
     quality: np.ndarray,
     encoder: float,
 ) -> None:
-    rows = slice(pixels[0], pixels[-1] + 1)
     outside = (quality & OUTSIDE) > 0
-    maps.normal[rows] = estimate.normal
-    maps.normal_cov[rows] = estimate.covariance[:, 3:]
-    maps.k_d[rows], maps.k_s[rows] = estimate.k_d, estimate.k_s
-    maps.alpha[rows], maps.residual[rows] = estimate.alpha, estimate.residual
-    maps.leds_used[rows] = estimate.leds_used
-    maps.theta[rows] = wrap_angle(points[:, 0] - encoder)
-    maps.z[rows], maps.r[rows] = points[:, 1], points[:, 2]
-    maps.quality[rows] = quality | np.where(outside, np.uint8(0), estimate.flags)
+    found = {
+        "normal": estimate.normal,
+        "normal_cov": estimate.covariance[:, 3:],
+        "k_d": estimate.k_d,
+        "k_s": estimate.k_s,
+        "alpha": estimate.alpha,
+        "residual": estimate.residual,
+        "leds_used": estimate.leds_used,
+        "theta": wrap_angle(points[:, 0] - encoder),
+        "z": points[:, 1],
+        "r": points[:, 2],
+        "quality": quality | np.where(outside, np.uint8(0), estimate.flags),
+    }
+    for name, values in found.items():
+        part = getattr(maps, name)[chunk]
+        part[:] = values.reshape(part.shape)
 
 
 def _is_poor(residual: np.ndarray) -> np.ndarray:
@@ -351,16 +370,10 @@ def _is_poor(residual: np.ndarray) -> np.ndarray:
 
     Those of a sample of the view tell: of a million pixels, to less than a hundredth of them.
     """
-    some = residual[:: max(1, len(residual) // _SPREAD_PX)]
+    some = residual.ravel()[:: max(1, residual.size // _SPREAD_PX)]
     known = np.log(np.maximum(some[np.isfinite(some)], 1e-6))
     if not known.size:
         return np.zeros(residual.shape, bool)
     middle = np.median(known)
     spread = _MAD_TO_STD * np.median(np.abs(known - middle))
     return residual > np.exp(middle + _POOR_SIGMAS * spread)
-
-
-def _reshaped(maps: ViewNormals, height: int, width: int) -> ViewNormals:
-    return replace(
-        maps, **{k: m.reshape(height, width, *m.shape[1:]) for k, m in vars(maps).items()}
-    )
