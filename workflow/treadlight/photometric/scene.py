@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from treadlight.geometry import CylinderGrid
-from treadlight.photometric import ray_kernels, shadow_kernels
+from treadlight.photometric import block_kernels, ray_kernels, shadow_kernels
 from treadlight.threads import by_ranges
 
 # A ray that leaves the surface flatter than this (72 degrees off its normal) is not looked for
@@ -24,7 +24,7 @@ from treadlight.threads import by_ranges
 _REACH = 3.0
 # Cells along a side of the blocks whose highest and lowest values are kept.
 _NEAR, _FAR = ray_kernels.BLOCKS
-_LEAST_SQUARES, _LEAST_TILES = 1 << 8, 1 << 4
+_LEAST_SQUARES, _LEAST_TILES, _LEAST_BLOCKS = 1 << 8, 1 << 4, 1 << 4
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class SurfacePatch:
     def tops(self) -> tuple[np.ndarray, np.ndarray]:
         """Highest `r` within blocks of cells (`ray_kernels.BLOCKS`) and those around each."""
         near = block_tops(self.r, _NEAR)
-        far = block_tops(self.r, _FAR)
+        far = _highest_of(near, _FAR // _NEAR)
         return _with_neighbours(near), _with_neighbours(far)
 
     @cached_property
@@ -94,14 +94,15 @@ def block_tops(field: np.ndarray, size: int) -> np.ndarray:
 
     So that what is interpolated within a block is never above. -inf where nothing is known.
     """
-    rows, columns = (-(-n // size) for n in field.shape)
-    padded = np.full((rows * size + 1, columns * size + 1), -np.inf, np.float32)
-    padded[: field.shape[0], : field.shape[1]] = field
-    np.copyto(padded, -np.inf, where=np.isnan(padded))
-    down = np.maximum.reduce([padded[k : len(padded) - size + k : size] for k in range(size + 1)])
-    return np.maximum.reduce(
-        [down[:, k : down.shape[1] - size + k : size] for k in range(size + 1)]
-    )
+    out = np.empty([-(-n // size) for n in field.shape], np.float32)
+    by_ranges(block_kernels.tops, len(out), _LEAST_BLOCKS, np.asarray(field), size, out)
+    return out
+
+
+def _highest_of(tops: np.ndarray, size: int) -> np.ndarray:
+    """Those of blocks of `size` x `size` blocks: these share their borders already."""
+    down = np.maximum.reduceat(tops, np.arange(0, tops.shape[0], size), axis=0)
+    return np.maximum.reduceat(down, np.arange(0, tops.shape[1], size), axis=1)
 
 
 def _with_neighbours(tops: np.ndarray) -> np.ndarray:
@@ -177,17 +178,17 @@ def coarsen(patch: SurfacePatch, cell_mm: float) -> SurfacePatch:
     stride = max(1, int(cell_mm / patch.step_mm)) if patch.r.size else 1
     if stride == 1:
         return patch
-    rows, columns = (size // stride for size in patch.r.shape)
-    shape = (rows, stride, columns, stride)
-    blocks = patch.r[: rows * stride, : columns * stride].reshape(shape)
-    std = patch.r_std[: rows * stride, : columns * stride].reshape(shape)
+    shape = [size // stride for size in patch.r.shape]
+    r, r_std = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for field, out in ((patch.r, r), (patch.r_std, r_std)):
+        by_ranges(block_kernels.means, len(out), _LEAST_BLOCKS, field, stride, out)
     return SurfacePatch(
         phi_0=patch.phi_0 + 0.5 * (stride - 1) * patch.step_phi,
         step_phi=patch.step_phi * stride,
         z_0=patch.z_0 + 0.5 * (stride - 1) * patch.step_z,
         step_z=patch.step_z * stride,
-        r=np.ascontiguousarray(blocks.mean(axis=(1, 3)), np.float32),
-        r_std=np.ascontiguousarray(std.mean(axis=(1, 3)), np.float32),
+        r=r,
+        r_std=r_std,
     )
 
 
