@@ -204,32 +204,35 @@ def _begin(seen, pixels, base, material, first2, room, queue, count):
 
 
 @kernel(allocates=True)
-def _finish(seen, pixels, states, material, first2, misfit2, enough, room, queue, count):
+def _finish(seen, pixels, states, material, misfits, soften, enough, room, queue, count):
     """Fit a block from where it stands to the end; what is in doubt then waits.
 
-    With another misfit first, if that is larger.
+    `soften`: with the first misfit before. By that one it is in doubt: what is explained as well
+    as the first misfit lets expect would hardly be better explained from elsewhere.
     """
     leds, state, trial, t, work, eq, eq_trial, step, doubtful, brightest, look = room[:11]
+    first2, misfit2 = misfits
     gather(seen, pixels, leds, look)
     state[:] = states
-    if first2 > misfit2:
+    if soften and first2 > misfit2:
         sharpen(leds, first2, brightest)
         descend(leds, state, t, work, material, step, trial, eq, eq_trial, _STEPS)
     sharpen(leds, misfit2, brightest)
     descend(leds, state, t, work, material, step, trial, eq, eq_trial, _STEPS)
-    _doubt(leds, eq, enough, doubtful)
-    count = _put_off(pixels, doubtful, state, queue, count)
     _report(seen, pixels, state, material, room)
-    return count
+    sharpen(leds, first2, brightest)
+    evaluate(leds, state, t, work, material, eq)
+    _doubt(leds, eq, enough, doubtful)
+    return _put_off(pixels, doubtful, state, queue, count)
 
 
 @kernel(allocates=True)
-def _finish_all(seen, queue, count, material, first2, misfit2, enough, room, doubtful, left):
+def _finish_all(seen, queue, count, material, misfits, soften, enough, room, doubtful, left):
     """Finish a queue of `count`; how many wait in the other one then, which had `left`."""
     for k in range(0, count, LANES):
         pixels, states = queue[0][k : min(k + LANES, count)], queue[1][k // LANES]
         left = _finish(
-            seen, pixels, states, material, first2, misfit2, enough, room, doubtful, left
+            seen, pixels, states, material, misfits, soften, enough, room, doubtful, left
         )
     return left
 
@@ -298,21 +301,22 @@ def _fit_span(seen, span, width, first_row, base, material, misfit2, enough, roo
     used, above, new, queue, doubtful = desk
     n_above, n_new = _sort(seen, span, width, first_row, used, above, new, room[14][1])
     first2, nobody = max(misfit2, _FIRST_MISFIT2), np.float32(np.inf)
+    misfits = (first2, misfit2)
     count = left = 0
     for k in range(0, n_new, LANES):
         pixels = new[k : min(k + LANES, n_new)]
         count = _begin(seen, pixels, base, material, first2, room, queue, count)
-    left = _finish_all(seen, queue, count, material, first2, misfit2, enough, room, doubtful, left)
+    left = _finish_all(seen, queue, count, material, misfits, True, enough, room, doubtful, left)
     count = 0
     for k in range(0, n_above, LANES):
         pixels = above[k : min(k + LANES, n_above)]
         count = _fit_from_above(seen, pixels, width, material, misfit2, enough, room, queue, count)
-    left = _finish_all(seen, queue, count, material, misfit2, misfit2, enough, room, doubtful, left)
+    left = _finish_all(seen, queue, count, material, misfits, False, enough, room, doubtful, left)
     count = 0
     for k in range(0, left, LANES):
         pixels, states = doubtful[0][k : min(k + LANES, left)], doubtful[1][k // LANES]
         count = _try_starts(seen, pixels, states, base, material, first2, room, queue, count)
-    _finish_all(seen, queue, count, material, first2, misfit2, nobody, room, doubtful, 0)
+    _finish_all(seen, queue, count, material, misfits, True, nobody, room, doubtful, 0)
 
 
 @kernel(allocates=True)
