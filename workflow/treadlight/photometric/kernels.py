@@ -62,7 +62,7 @@ def _gather(r, v, first, intensity, lights, views, usable, noise):
         for k in range(first, last):
             if not (usable[m, k] and intensity[m, k] == intensity[m, k]):
                 continue
-            lx, ly, lz = lights[m, k, 0], lights[m, k, 1], lights[m, k, 2]
+            lx, ly, lz = lights[m, 0, k], lights[m, 1, k], lights[m, 2, k]
             hx, hy, hz = lx + views[k, 0], ly + views[k, 1], lz + views[k, 2]
             length = math.sqrt(hx * hx + hy * hy + hz * hz)
             if not length > 0:
@@ -249,7 +249,7 @@ def fit_pixels(
 
     Parameters
     ----------
-    intensity, lights, views, usable, noise : as in `Observations`
+    intensity, lights, views, usable, noise : as `Observations.arrays` gives them
     algorithm : int
     refinements : int
         Of algorithm 4: passes through steps 2 to 5 after the first, at most.

@@ -39,8 +39,8 @@ def gather(seen, pixels, leds, look):
         led[DARK : DARK + LANES] = np.float32(np.inf)
         if pixels[count - 1] == last - 1:
             _take_run(
-                intensity[m, first:last], lights[m, first:last], usable[m, first:last],
-                noise[m, first:last], led,
+                intensity[m, first:last], lights[m, 0, first:last], lights[m, 1, first:last],
+                lights[m, 2, first:last], usable[m, first:last], noise[m, first:last], led,
             )  # fmt: skip
         else:
             _take_some(intensity[m], lights[m], usable[m], noise[m], pixels, led)
@@ -49,12 +49,12 @@ def gather(seen, pixels, leds, look):
 
 
 @kernel
-def _take_run(intensity, lights, usable, noise, led):
+def _take_run(intensity, x, y, z, usable, noise, led):
     """One LED of pixels that lie side by side, an array at a time, which vectorises."""
     for k in range(len(intensity)):
         led[LIGHT + k] = intensity[k]
     for k in range(len(intensity)):
-        led[LX + k], led[LY + k], led[LZ + k] = lights[k, 0], lights[k, 1], lights[k, 2]
+        led[LX + k], led[LY + k], led[LZ + k] = x[k], y[k], z[k]
     for k in range(len(intensity)):
         led[DARK + k] = noise[k] * noise[k]
     for k in range(len(intensity)):
@@ -67,7 +67,7 @@ def _take_some(intensity, lights, usable, noise, pixels, led):
     for k in range(len(pixels)):
         at = pixels[k]
         led[LIGHT + k] = intensity[at]
-        led[LX + k], led[LY + k], led[LZ + k] = lights[at, 0], lights[at, 1], lights[at, 2]
+        led[LX + k], led[LY + k], led[LZ + k] = lights[0, at], lights[1, at], lights[2, at]
         led[DARK + k] = noise[at] * noise[at] if usable[at] else np.float32(np.inf)
 
 

@@ -328,7 +328,7 @@ def fit_pixels(
 
     Parameters
     ----------
-    intensity, lights, views, usable, noise : as in `Observations`
+    intensity, lights, views, usable, noise : as `Observations.arrays` gives them
     base : (DIRECTIONS, 3) float32
         Unit vectors about (0, 0, 1).
     material : (6,) float32

@@ -232,7 +232,7 @@ def choose_starts(leds, seen, pixels, base, material, starts, desk):
     lane = _middle(waiting)
     while lane >= 0:
         at = pixels[lane]
-        _make_dictionary(seen[1][:, at], seen[2][at], base, material, place, normals, book)
+        _make_dictionary(seen[1][:, :, at], seen[2][at], base, material, place, normals, book)
         _serve(leds, place, waiting, served)
         served[lane] = ONE
         _match(weighed, book, score)

@@ -38,10 +38,14 @@ class Observations:
     noise: np.ndarray
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The fields in order, in one memory layout and type: a kernel is then compiled once."""
+        """The fields in order, in one memory layout and type: a kernel is then compiled once.
+
+        Of the lights (n_leds, 3, n), so that neighbours' components lie side by side. What lies so
+        already is not copied.
+        """
         return (
             np.ascontiguousarray(self.intensity, np.float32),
-            np.ascontiguousarray(self.lights, np.float32),
+            np.ascontiguousarray(np.moveaxis(self.lights, 2, 1), np.float32),
             np.ascontiguousarray(self.views, np.float32),
             np.ascontiguousarray(self.usable, np.bool_),
             np.ascontiguousarray(self.noise, np.float32),

@@ -311,7 +311,7 @@ def _observe(
         irradiance[m] = view.light.irradiance(k, in_camera)
     seen = Observations(
         intensity=np.empty(shape, np.float32),
-        lights=np.empty((*shape, 3), np.float32),
+        lights=np.moveaxis(np.empty((shape[0], 3, shape[1]), np.float32), 1, 2),
         views=np.empty((shape[1], 3), np.float32),
         usable=np.empty(shape, np.bool_),
         noise=np.empty(shape, np.float32),
@@ -320,7 +320,8 @@ def _observe(
     by_ranges(
         view_kernels.observe, len(points), _LEAST_PX,
         points, counts, irradiance, view.noise, lit, leds, origin,
-        seen.intensity, seen.noise, seen.lights, seen.views, seen.usable, quality,
+        seen.intensity, seen.noise, np.moveaxis(seen.lights, 2, 1), seen.views, seen.usable,
+        quality,
     )  # fmt: skip
     return seen, points, quality
 

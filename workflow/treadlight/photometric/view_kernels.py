@@ -95,7 +95,7 @@ def observe(
     leds, camera : (n_leds, 3), (3,) float64
         In {V}, mm.
     intensity, noise, lights, views, usable
-        As in `Observations`; written here.
+        As `Observations.arrays` gives them; written here.
     quality : (n,) uint8
         outside, shadowed, saturated; written here.
     """
@@ -103,10 +103,11 @@ def observe(
     for first in range(begin, end, _RUN):
         run = slice(first, min(end, first + _RUN))
         _place(points[run], places)
-        _unit_vectors(places, camera, rows, views[run])
+        _unit_vectors(places, camera, rows[0], rows[1], rows[2])
+        _side_by_side(rows, views[run])
         quality[run] = 0
         for m in range(len(leds)):
-            _unit_vectors(places, leds[m], rows, lights[m, run])
+            _unit_vectors(places, leds[m], lights[m, 0, run], lights[m, 1, run], lights[m, 2, run])
             _divide(counts[m, run], irradiance[m, run], dark[m], intensity[m, run], noise[m, run])
             _use(intensity[m, run], lit[m, run], usable[m, run])
             _tell(counts[m, run], lit[m, run], quality[run])
@@ -122,15 +123,18 @@ def _place(points, places):
 
 
 @kernel
-def _unit_vectors(places, target, rows, found):
+def _unit_vectors(places, target, found_r, found_theta, found_z):
     """From points to a place in {V}, each in its own basis (r, theta, z)."""
     to_x, to_y, to_z = target[0], target[1], target[2]
-    for k in range(len(found)):
+    for k in range(len(found_r)):
         c, s = places[0, k], places[1, k]
         x, y, z = c * to_x + s * to_y - places[2, k], c * to_y - s * to_x, to_z - places[3, k]
         scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-        rows[0, k], rows[1, k], rows[2, k] = x * scale, y * scale, z * scale
-    # By itself, so that the loop before is vectorised.
+        found_r[k], found_theta[k], found_z[k] = x * scale, y * scale, z * scale
+
+
+@kernel
+def _side_by_side(rows, found):
     for k in range(len(found)):
         found[k, 0], found[k, 1], found[k, 2] = rows[0, k], rows[1, k], rows[2, k]
 
