@@ -26,23 +26,32 @@ def irradiance(
     place, flat = np.empty(_RUN, np.int32), table.reshape(table.size)
     for begin in range(first, last, _RUN):
         end = min(begin + _RUN, last)
-        _project(points[begin:end], position, normal, height, lens, u, v, scale)
+        _take(points[begin:end], u, v, scale)
+        _project(position, normal, height, lens, u, v, scale)
         _distort(intrinsics, distortion, u, v)
         _find(rows, columns, step, u, v, place)
         _look_up(flat, columns, place, u, v, scale, out[begin:end])
 
 
 @kernel
-def _project(points, position, normal, height, lens, x, y, scale):
+def _take(points, x, y, z):
+    """Components by themselves: what follows is vectorised, in two thirds of the time."""
+    for i in range(len(points)):
+        x[i], y[i], z[i] = points[i, 0], points[i, 1], points[i, 2]
+
+
+@kernel
+def _project(position, normal, height, lens, x, y, scale):
     """Where the camera sees the line from the LED through each point meet the plane, undistorted.
 
-    And what distance and lens leave at the point: nothing where the LED has it behind.
+    The points' components come in x, y and scale. In scale goes what distance and lens leave at
+    the point: nothing where the LED has it behind.
     """
     p_x, p_y, p_z = position[0], position[1], position[2]
     n_x, n_y, n_z = normal[0], normal[1], normal[2]
     linear, quadratic, most = lens
-    for i in range(len(points)):
-        there_x, there_y, there_z = points[i, 0], points[i, 1], points[i, 2]
+    for i in range(_RUN):
+        there_x, there_y, there_z = x[i], y[i], scale[i]
         dx, dy, dz = there_x - p_x, there_y - p_y, there_z - p_z
         squared = dx * dx + dy * dy + dz * dz
         # The plane's point times this one's distance from the LED along the normal.
