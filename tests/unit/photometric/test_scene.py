@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from treadlight.geometry import CylinderGrid
-from treadlight.photometric.scene import SurfacePatch, cast, coarsen, cut_patch, lit
+from treadlight.photometric.scene import (
+    SurfacePatch,
+    block_tops,
+    cast,
+    coarsen,
+    cut_patch,
+    lit,
+)
 
 RADIUS = 100.0
 
@@ -304,3 +311,21 @@ def test_a_coarse_patch_keeps_places_and_means():
     at = coarse.z_0 + np.arange(30) * coarse.step_z
     np.testing.assert_allclose(coarse.r[0], RADIUS + at, atol=1e-4)
     assert coarsen(patch, 0.1) is patch
+
+
+@pytest.mark.parametrize("shape", [(64, 128), (71, 130), (1, 9), (8, 3)])
+def test_blocks_are_as_high_as_what_is_interpolated_in_them(rng, shape):
+    field = rng.random(shape, dtype=np.float32)
+    field[rng.random(shape) < 0.3] = np.nan
+    tops = block_tops(field, 8)
+    assert tops.shape == tuple(-(-n // 8) for n in shape)
+    for i, j in np.ndindex(tops.shape):
+        block = field[8 * i : 8 * i + 9, 8 * j : 8 * j + 9]
+        assert tops[i, j] == np.nanmax(block, initial=-np.inf)
+
+
+def test_tops_of_large_blocks_are_those_of_the_small_ones_in_them(rng):
+    patch = patch_of(RADIUS + rng.random((200, 90), dtype=np.float32))
+    far = block_tops(patch.r, 64)
+    around = [np.max(far[max(i - 1, 0) : i + 2]) for i in range(len(far))]
+    np.testing.assert_array_equal(patch.tops[1], np.repeat(np.array(around)[:, None], 2, axis=1))

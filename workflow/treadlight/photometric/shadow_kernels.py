@@ -73,11 +73,11 @@ def _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, 
         if near >= far:
             _light(points, width, row, column, _TILE_ROWS, _TILE_COLUMNS, out[m])
             continue
-        ask = (field, tops, crests, points, leds[m], width, near, far)
+        ask = (field, tops, crests, leds[m], near, far)
         corners[:] = _UNKNOWN
         for i in range(0, rows, 2):
             for j in range(0, columns, 2):
-                _lit_square(ask, row, column, i, j, close, corners, out[m])
+                _lit_square(ask, points, width, row, column, i, j, close, corners, out[m])
 
 
 @kernel
@@ -90,32 +90,32 @@ def _light(points, width, row, column, rows, columns, out):
 
 
 @kernel
-def _lit_square(ask, row, column, i, j, close, corners, out):
+def _lit_square(ask, points, width, row, column, i, j, close, corners, out):
     """A square of the tile at a row and column, by its corners or by those of its quarters.
 
-    Corners that are about a cell apart and agree speak for all between.
+    Corners that are about a cell apart and agree speak for all between. i and j count quarters.
     """
     told = _UNKNOWN
     if close[0, i, j]:
-        told = _told(ask, row, column, i, j, 2, corners)
+        told = _told(ask, points, width, row, column, i, j, 2, corners)
     if told == 0:
         return
     if told == 1:
-        _light(ask[3], ask[5], row + i * _HALF, column + j * _HALF, _SQUARE, _SQUARE, out)
+        _light(points, width, row + i * _HALF, column + j * _HALF, _SQUARE, _SQUARE, out)
         return
     for a in range(i, min(i + 2, close.shape[1])):
         for b in range(j, min(j + 2, close.shape[2])):
-            _lit_quarter(ask, row, column, a, b, close[1, a, b], corners, out)
+            _lit_quarter(ask, points, width, row, column, a, b, close[1, a, b], corners, out)
 
 
 @kernel
-def _lit_quarter(ask, row, column, i, j, close, corners, out):
+def _lit_quarter(ask, points, width, row, column, i, j, close, corners, out):
+    """Its pixels each by itself where its corners do not speak for it."""
     told = _UNKNOWN
     if close:
-        told = _told(ask, row, column, i, j, 1, corners)
+        told = _told(ask, points, width, row, column, i, j, 1, corners)
     if told == 0:
         return
-    points, width = ask[3], ask[5]
     v, u = row + i * _HALF, column + j * _HALF
     if told == 1:
         _light(points, width, v, u, _HALF, _HALF, out)
@@ -123,18 +123,21 @@ def _lit_quarter(ask, row, column, i, j, close, corners, out):
     for y in range(v, v + _HALF):
         first = y * width + u
         for k in range(first, min(len(points), first + _HALF, (y + 1) * width)):
-            out[k] = _is_lit(ask, k)
+            out[k] = _is_lit(ask, points[k])
 
 
 @kernel
-def _told(ask, row, column, i, j, side, corners):
-    """Whether all corners of a square are lit (1) or dark (0); unknown if they do not agree."""
+def _told(ask, points, width, row, column, i, j, side, corners):
+    """Whether all corners of a square are lit (1) or dark (0); unknown if they do not agree.
+
+    `corners` holds what is known of all corners of the tile already.
+    """
     lit_corners = 0
     for a in range(i, i + side + 1, side):
         for b in range(j, j + side + 1, side):
             if corners[a, b] == _UNKNOWN:
-                k = _pixel(ask[5], len(ask[3]), row + a * _HALF, column + b * _HALF)
-                corners[a, b] = _is_lit(ask, k)
+                k = _pixel(width, len(points), row + a * _HALF, column + b * _HALF)
+                corners[a, b] = _is_lit(ask, points[k])
             lit_corners += corners[a, b]
     if lit_corners == 0:
         return 0
@@ -167,9 +170,10 @@ def _are_near(field, points, width, row, column, side):
 
 
 @kernel
-def _is_lit(ask, k):
-    field, tops, crests, points, led, _, near, far = ask
-    phi, z, height = points[k]
+def _is_lit(ask, point):
+    """Whether a point sees the LED: only between two shares of the way anything could hide it."""
+    field, tops, crests, led, near, far = ask
+    phi, z, height = point
     if not height > 0.0:
         return False
     c, s = cos_sin(phi)
