@@ -43,11 +43,7 @@ def main() -> int:
 def least(folder: Path, size: tuple[int, int], count: int) -> dict[str, dict[str, float]]:
     """The least of some runs of every stage."""
     made = sector.make(folder, size, say)
-    taken = [stages.run_all(made, folder / "results", 1, say) for _ in range(count)]
-    return {
-        stage: {key: min(run[stage][key] for run in taken) for key in taken[0][stage]}
-        for stage in taken[0]
-    }
+    return stages.least([stages.run_all(made, folder / "results", 1, say) for _ in range(count)])
 
 
 def costs(stage: str, runs: list[dict[str, dict[str, float]]]) -> dict[str, object]:

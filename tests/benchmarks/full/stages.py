@@ -46,6 +46,14 @@ def run_all(
     return taken
 
 
+def least(runs: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """The least of some runs of `run_all`, each figure by itself."""
+    return {
+        stage: {key: min(run[stage][key] for run in runs) for key in runs[0][stage]}
+        for stage in runs[0]
+    }
+
+
 def _run(command: str, arguments: list[str]) -> dict[str, float]:
     began = time.monotonic()
     process = subprocess.Popen(
