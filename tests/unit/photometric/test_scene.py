@@ -205,17 +205,20 @@ def test_a_wall_shadows_as_far_as_the_light_is_low(zenith_deg):
     assert lit(patch, points, led * [1, 1, -1]).all()
 
 
+@pytest.mark.parametrize("shape", [(64, 96), (41, 75), (50, 3), (1, 150)])
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_pixels_finer_than_the_surface_are_lit_as_they_are_alone_but_for_edges_of_shadows(seed):
+def test_pixels_finer_than_the_surface_are_lit_as_they_are_alone_but_for_edges_of_shadows(
+    shape, seed
+):
     """Squares of pixels about as wide as a cell are judged by their corners."""
     patch, rng = blocky(seed, 70)
-    v, u = np.mgrid[:64, :96]
-    phi, z = (v - 32) * 0.1 / RADIUS, (u - 48) * 0.1
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    phi, z = (v - shape[0] / 2) * 0.1 / RADIUS, (u - shape[1] / 2) * 0.1
     points = np.stack([phi, z, height_at(patch, patch.r, phi, z)], axis=-1).reshape(-1, 3)
     leds = rng.uniform([150, -300, -300], [500, 300, 300], (6, 3))
     leds[0] = [RADIUS + 20, 0, 300]
-    together = lit(patch, points, leds, 96).reshape(6, 64, 96)
+    together = lit(patch, points, leds, shape[1]).reshape(6, *shape)
     alone = np.stack([lit(patch, point[None], leds)[:, 0] for point in points], axis=1)
     alone = alone.reshape(together.shape)
     # An LED that all or nobody sees tells nothing.
@@ -223,6 +226,29 @@ def test_pixels_finer_than_the_surface_are_lit_as_they_are_alone_but_for_edges_o
     near_edge = ndimage.maximum_filter(alone, (1, 9, 9)) != ndimage.minimum_filter(alone, (1, 9, 9))
     np.testing.assert_array_equal(together[~near_edge], alone[~near_edge])
     assert (together != alone).mean() < 0.02
+
+
+def test_an_image_that_ends_within_a_row_is_lit_as_far_as_it_goes(rng):
+    patch, _ = blocky(3, 70)
+    v, u = np.mgrid[:24, :40]
+    phi, z = (v - 12) * 0.1 / RADIUS, (u - 20) * 0.1
+    points = np.stack([phi, z, height_at(patch, patch.r, phi, z)], axis=-1).reshape(-1, 3)
+    leds = rng.uniform([150, -300, -300], [500, 300, 300], (6, 3))
+    whole, part = (lit(patch, points[:count], leds, 40) for count in (960, 930))
+    # Squares of the last rows are judged by other corners.
+    np.testing.assert_array_equal(part[:, : 20 * 40], whole[:, : 20 * 40])
+    assert part.any()
+
+
+def test_scattered_points_do_not_speak_for_those_between_them():
+    """Every fourth one lies high up, the others behind a rib."""
+    step = 0.25
+    z = (np.arange(241) - 120) * step
+    patch = patch_of(np.repeat(np.where(abs(z) < 1, RADIUS, RADIUS - 6)[None], 81, axis=0), step)
+    at = np.where(np.arange(33) % 4 == 0, 0.0, -1.5)
+    points = np.column_stack([0 * at, at, np.where(at == 0, RADIUS, RADIUS - 6)])
+    seen = lit(patch, points, np.array([[RADIUS + 100.0, 0, 200.0]]))[0]
+    np.testing.assert_array_equal(seen, at == 0)
 
 
 def test_what_is_highest_is_lit_whatever_its_neighbours_are():
@@ -313,7 +339,16 @@ def test_a_coarse_patch_keeps_places_and_means():
     assert coarsen(patch, 0.1) is patch
 
 
-@pytest.mark.parametrize("shape", [(64, 128), (71, 130), (1, 9), (8, 3)])
+def test_cells_of_a_coarse_patch_are_means_of_whole_cells_and_unknown_where_one_is(rng):
+    r = RADIUS + rng.random((131, 92), dtype=np.float32)
+    r[40, 50] = np.nan
+    coarse = coarsen(patch_of(r), 0.8)
+    means = r[:129, :90].reshape(43, 3, 30, 3).astype(float).mean(axis=(1, 3))
+    np.testing.assert_allclose(coarse.r, means, rtol=1e-6)
+    assert np.isnan(coarse.r).sum() == 1
+
+
+@pytest.mark.parametrize("shape", [(64, 128), (71, 130), (1, 9), (8, 3), (300, 40)])
 def test_blocks_are_as_high_as_what_is_interpolated_in_them(rng, shape):
     field = rng.random(shape, dtype=np.float32)
     field[rng.random(shape) < 0.3] = np.nan

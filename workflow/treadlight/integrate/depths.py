@@ -102,7 +102,7 @@ def slot_depths(
 def _reached(
     slots: Patches, kinds: Kinds, laser: LaserCells, deep: np.ndarray, clear: np.ndarray
 ) -> np.ndarray:
-    """Slots (count,) of a kind in which the greater part of the points is deep (k,).
+    """Slots (count,) of a kind in which surely the greater part of the points is deep (k,).
 
     Of those that are clear of the walls (k,), where there are enough.
     """

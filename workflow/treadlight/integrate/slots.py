@@ -281,7 +281,7 @@ def _lost_share(
     and says little of the cut. That of all patches of its like counts as one more in the middle.
     """
     label = patches.label[laser.row, laser.column]
-    inside = way_out(patches.mask, grid)
+    inside = np.minimum(way_out(patches.mask, grid), max(grid.shape))
     middle = np.ones(patches.count + 1)
     middle[1:] = ndimage.maximum(inside, patches.label, np.arange(1, patches.count + 1))
     weight = inside[laser.row, laser.column] / middle[label]

@@ -246,7 +246,8 @@ def lit(
         Positions in {V}, mm.
     width : int, optional
         The points are those of an image's pixels, row by row, with so many in a row: where
-        neighbours are all lit is then found out for them together.
+        neighbours are all lit is then found out for them together, and of pixels that are finer
+        than the surface's cells some speak for those between them.
 
     Returns
     -------
@@ -254,6 +255,7 @@ def lit(
     """
     out = np.zeros((len(leds), len(points)), np.bool_)
     if patch.r_max > 0.0:
+        image = width is not None
         width = max(len(points) if width is None else width, 1)
         down, across = shadow_kernels.tiles(width, len(points))
         by_ranges(
@@ -261,6 +263,6 @@ def lit(
             patch.r, patch.r_std, patch.obstacles, patch.hurdles, patch.crests,
             patch.phi_0, patch.step_phi, patch.z_0, patch.step_z, patch.r_max, patch.step_mm,
             np.ascontiguousarray(points, np.float64), np.ascontiguousarray(leds, np.float64),
-            width, out,
+            width, image, out,
         )  # fmt: skip
     return out

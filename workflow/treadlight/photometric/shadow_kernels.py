@@ -36,21 +36,22 @@ def tiles(width, pixels):
 @kernel
 def lit(
     first, last, r, r_std, obstacles, tops, crests, phi_0, step_phi, z_0, step_z, r_max, cell,
-    points, leds, width, out,
+    points, leds, width, image, out,
 ):  # fmt: skip
     """Whether LEDs reach points, as `scene.lit` gives it, into out (n_leds, n) of false.
 
-    Of tiles first to last - 1, row by row; see `tiles`.
+    Of tiles first to last - 1, row by row; see `tiles`. Points that are no `image` do not speak
+    for those between them.
     """
     across = tiles(width, len(points))[1]
     field = (r, r_std, phi_0, 1.0 / step_phi, z_0, 1.0 / step_z, r_max, cell)
     for tile in range(first, last):
         row, column = tile // across * _TILE_ROWS, tile % across * _TILE_COLUMNS
-        _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, out)
+        _lit_tile(field, obstacles, tops, crests, points, leds, width, image, row, column, out)
 
 
 @kernel(allocates=True)
-def _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, out):
+def _lit_tile(field, obstacles, tops, crests, points, leds, width, image, row, column, out):
     """A tile's pixels, square by square where they need look.
 
     Corners of squares are asked once for all squares that they belong to, those beyond the tile's
@@ -65,8 +66,8 @@ def _lit_tile(field, obstacles, tops, crests, points, leds, width, row, column, 
     for i in range(rows):
         for j in range(columns):
             v, u = row + i * _HALF, column + j * _HALF
-            close[0, i, j] = _are_near(field, points, width, v, u, _SQUARE)
-            close[1, i, j] = _are_near(field, points, width, v, u, _HALF)
+            close[0, i, j] = image and _are_near(field, points, width, v, u, _SQUARE)
+            close[1, i, j] = image and _are_near(field, points, width, v, u, _HALF)
     corners = np.empty((rows + 2, columns + 2), np.int8)
     for m in range(len(leds)):
         near, far = _doubtful(field, obstacles, crests, bounds, leds[m])

@@ -158,7 +158,10 @@ def solve_view(
 
 
 def observe_view(view: View, grid: CylinderGrid, r: np.ndarray, r_std: np.ndarray) -> Observations:
-    """All pixels of a view as `solve_view` gives them to its method, row by row."""
+    """All pixels of a view as `solve_view` gives them to its method, row by row.
+
+    But for edges of shadows within a square of pixels of a chunk's border.
+    """
     patch = scene.cut_patch(grid, r, r_std, view.encoder, _seen_angles(view, r))
     counts = view.intensity.reshape(len(view.leds), -1)
     pixels, width = np.arange(counts.shape[1]), view.intensity.shape[2]
