@@ -252,3 +252,21 @@ def test_points_go_to_the_camera_as_the_axis_says(bench):
     phi, z, r = points.T
     expected = bench.axis.to_camera(phi - ENCODER, z, r, ENCODER)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_a_view_in_many_chunks_is_the_view_in_one(view, bench, monkeypatch):
+    """Chunks end within the image both ways, the last ones before their size."""
+    whole = solve(view, bench)
+    height, width = whole.r.shape
+    rows, columns = height // 3 + 1, width // 3 + 1
+    assert height % rows
+    assert width % columns
+    monkeypatch.setattr(view_module, "_CHUNK_ROWS", rows)
+    monkeypatch.setattr(view_module, "_CHUNK_COLUMNS", columns)
+    parts = solve(view, bench)
+    for name in ("r", "theta", "z", "leds_used"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    # Without noise a poor fit is a matter of rounding.
+    np.testing.assert_array_equal(parts.quality & ~POOR_FIT, whole.quality & ~POOR_FIT)
+    # Pixels below a chunk's first row begin elsewhere: they end at the same minimum, nearly.
+    np.testing.assert_allclose(parts.normal, whole.normal, atol=1e-3)
