@@ -38,7 +38,7 @@ from treadlight.geometry import (
 )
 from treadlight.rounding import keep_bits
 from treadlight.spool import IN_MEMORY, Memory, Spool
-from treadlight.threads import cores
+from treadlight.threads import cores, share
 
 ROOT_METADATA = "zarr.json"
 PROVENANCE_SUFFIX = ".provenance.json"
@@ -194,11 +194,20 @@ def publish(temporary: Path, path: Path) -> None:
 def content_digest(path: Path) -> str:
     """SHA-256 over the names and bytes of all files of a store but its root metadata."""
     digest = hashlib.sha256()
-    for name in sorted(_files(path)):
-        if name == ROOT_METADATA or name.startswith(".snakemake"):
-            continue
+    names = sorted(
+        name
+        for name in _files(path)
+        if not (name == ROOT_METADATA or name.startswith(".snakemake"))
+    )
+    found: dict[str, bytes] = {}
+
+    def add(name: str) -> None:
+        found[name] = hashlib.sha256((path / name).read_bytes()).digest()
+
+    share(add, names)
+    for name in names:
         digest.update(name.encode() + b"\0")
-        digest.update(hashlib.sha256((path / name).read_bytes()).digest())
+        digest.update(found[name])
     root = json.loads((path / ROOT_METADATA).read_text())
     root["attributes"].pop("content_digest", None)
     digest.update(json.dumps(root, sort_keys=True).encode())

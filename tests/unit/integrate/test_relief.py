@@ -22,7 +22,7 @@ from treadlight.integrate import (
 )
 from treadlight.integrate.edges import Photometry
 from treadlight.integrate.patches import Patches
-from treadlight.integrate.relief import Upsampled, add_relief, smooth_cells
+from treadlight.integrate.relief import Upsampled, relief, smooth_cells
 
 RADIUS = 300.0
 STEP = 0.1
@@ -264,10 +264,46 @@ def test_cells_are_smooth_on_a_shoulder_and_not_at_a_lip():
     assert not smooth_cells(shoulder, cut, cells)[4:7, 4:7].any()
 
 
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("width", [2, 3, 10])
+def test_pixels_near_a_mask_of_cells_are_those_of_a_filter(whole, width):
+    if whole:
+        grid = CylinderGrid.whole_turn((0.0, 20.0), 1.0, 20.0)
+    else:
+        grid = CylinderGrid.sector((0.0, 3.0), (0.0, 20.0), 1.0, 20.0)
+    cells = solved_grid(grid, width)
+    mask = np.random.default_rng(width).random(cells.shape) < 0.1
+    mask[0, 0] = True
+    up = Upsampled.between(cells, grid)
+    expected = ndimage.maximum_filter(up.nearest(mask), 7, mode=grid.filter_mode)
+    np.testing.assert_array_equal(up.near(mask, 3), expected)
+
+
+def test_what_slopes_say_next_to_nothing_of_stays_near_the_cells():
+    """A patch that only slopes of a million times their uncertainty lead to, at a step."""
+    grid = CylinderGrid.sector((0.0, 0.04), (0.0, 12.0), 0.1, RADIUS)
+    cells = solved_grid(grid, 3)
+    surface = np.full(grid.shape, RADIUS)
+    slope, variance = np.zeros((2, *grid.shape), np.float32), np.full((2, *grid.shape), 1e-6)
+    patch = np.s_[50:60, 50:60]
+    slope[(slice(None), *patch)] = 5.0
+    rim = np.zeros(grid.shape, bool)
+    rim[49:61, 49:61] = True
+    rim[patch] = False
+    slope[:, rim] = 1e4
+    variance[:, rim] = 1e14
+    seen = Photometry(slope, variance.astype(np.float32), *np.zeros((2, 3, *grid.shape)))
+    smooth, height = np.zeros(cells.shape, bool), np.full(cells.shape, 0.5)
+    found = relief(surface, smooth, height, seen, Upsampled.between(cells, grid), grid)
+    assert np.abs(found).max() <= 1.0
+    assert np.isfinite(found).all()
+
+
 def test_where_no_slope_is_known_pixels_follow_the_cells():
     grid = CylinderGrid.sector((0.0, 0.02), (0.0, 4.0), 0.1, RADIUS)
     surface = RADIUS + 0.1 * grid.z**2 + 0 * grid.theta[:, None]
     dark = Photometry(*(np.full((k, *grid.shape), np.nan, np.float32) for k in (2, 2, 3, 3)))
-    everywhere = np.ones(grid.shape, bool)
-    r = add_relief(surface, everywhere, np.zeros(grid.shape), dark, 3.0, grid)
-    np.testing.assert_allclose(r, surface, atol=1e-4)
+    cells = solved_grid(grid, 3)
+    smooth, height = np.ones(cells.shape, bool), np.zeros(cells.shape)
+    found = relief(surface, smooth, height, dark, Upsampled.between(cells, grid), grid)
+    np.testing.assert_allclose(found, 0, atol=1e-4)

@@ -197,15 +197,15 @@ def _odd_measurement(capture: "Capture", looks: "dict[str, Look]", threads: int)
 
     folder = capture.folder
     faults = _size_and_radius(capture)
-    patterns, misfit = {}, {}
+    patterns = {}
     for number in capture.views:
         frames = capture.view(number)
         found = doubts.doubts_of_view({f.file: looks[f.file] for f in frames}, capture.laser_scan)
         faults += [_named(capture, sentence) for sentence in found.values()]
         good = [f for f in frames if f.file not in found]
         patterns[number] = {f.led: looks[f.file].pattern for f in good if f.led is not None}
-        misfit[number] = 0.0
-    for number, leds in doubts.views_with_swapped_leds(patterns, misfit).items():
+    # Which of two is wrong nobody knows before they are explained.
+    for number, leds in doubts.views_with_swapped_leds(patterns, lambda _: 0.0).items():
         faults.append(
             f"{folder / 'frames.csv'}: in field of view {number}, or the one it disagrees with, the"
             f" frames of LEDs {' and '.join(map(str, leds))} look exchanged. Correct led."

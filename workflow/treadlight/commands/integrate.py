@@ -6,6 +6,7 @@ views the profile comes from the laser alone, without laser points only its shap
 
 import argparse
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -138,7 +139,7 @@ def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
     from treadlight import store
     from treadlight.images import doubts
 
-    usable, warnings, patterns, misfit = [], [], {}, {}
+    usable, warnings, patterns, opened = [], [], {}, {}
     for path in views:
         name = store.store_folder(path).name
         if reason := store.refused_reason(path):
@@ -149,7 +150,11 @@ def usable_views(views: list[Path]) -> tuple[list[Path], list[str]]:
         usable.append(path)
         numbers = [int(number) for number in view["led"].values]
         patterns[path] = dict(zip(numbers, view["light_pattern"].values, strict=True))
-        misfit[path] = float(view["residual"].median(skipna=True))
+        opened[path] = view
+
+    def misfit(path: Path) -> float:
+        return float(opened[path]["residual"].median(skipna=True))
+
     for path, leds in doubts.views_with_swapped_leds(patterns, misfit).items():
         usable.remove(path)
         warnings.append(
@@ -239,21 +244,19 @@ class StoredView:
         """Chunks of the image side by side, as far as they see the grid or something beside it."""
         import numpy as np
 
-        from treadlight.geometry.axis import wrap_angle
-        from treadlight.integrate import ASIDE_MM
+        from treadlight import integrate
         from treadlight.store import CHUNK
 
-        middle, low, high = self._reach
-        own = (grid.theta[0] + grid.theta[-1]) / 2
-        half = (grid.theta[-1] - grid.theta[0]) / 2 + ASIDE_MM / grid.nominal_radius_mm
-        away = wrap_angle(middle - own)
-        near = (away + high >= -half) & (away + low <= half) | (grid.periodic & np.isfinite(low))
-        for row, seen in enumerate(near):
-            columns = np.flatnonzero(seen)
-            if columns.size:
-                v = slice(row * CHUNK, (row + 1) * CHUNK)
-                u = slice(columns[0] * CHUNK, (columns[-1] + 1) * CHUNK)
-                yield view_normals(self._view.isel(v=v, u=u).load(), self._camera)
+        def parts() -> "Iterator[xr.Dataset]":
+            for row, seen in enumerate(integrate.sees(*self._reach, grid)):
+                columns = np.flatnonzero(seen)
+                if columns.size:
+                    v = slice(row * CHUNK, (row + 1) * CHUNK)
+                    u = slice(columns[0] * CHUNK, (columns[-1] + 1) * CHUNK)
+                    yield self._view.isel(v=v, u=u)
+
+        for part in read_ahead(parts()):
+            yield view_normals(part, self._camera)
 
     @cached_property
     def _reach(self) -> "tuple[float, np.ndarray, np.ndarray]":
@@ -262,6 +265,19 @@ class StoredView:
         from treadlight.store import CHUNK
 
         return integrate.angles_of_chunks(self._view["theta"].to_numpy(), CHUNK)
+
+
+def read_ahead(parts: "Iterable[xr.Dataset]") -> "Iterator[xr.Dataset]":
+    """Lazy datasets, loaded: the next one while the last one is worked on."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = None
+        for part in parts:
+            before, coming = coming, pool.submit(part.load)
+            if before is not None:
+                yield before.result()
+                del before
+        if coming is not None:
+            yield coming.result()
 
 
 def _dataset(

@@ -7,6 +7,7 @@ How far healthy frames differ is learned from the frames themselves, and each th
 often it calls a healthy frame wrong.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TypeVar
@@ -245,15 +246,15 @@ def _light_alone(patterns: dict[int, np.ndarray], leds: list[int]) -> list[np.nd
 
 
 def views_with_swapped_leds(
-    patterns: dict[V, dict[int, np.ndarray]], misfit: dict[V, float]
+    patterns: dict[V, dict[int, np.ndarray]], misfit: Callable[[V], float]
 ) -> dict[V, tuple[int, ...]]:
     """Fields of view in which LEDs are exchanged, as most others show; with the LEDs' numbers.
 
     Parameters
     ----------
     patterns : dict of view to (LED number to `light_pattern`)
-    misfit : dict of view to float
-        How badly each view's images are explained; of two that disagree, the worse is wrong.
+    misfit : function of a view
+        How badly its images are explained; asked of two that disagree: the worse is wrong.
     """
     against: dict[V, list[tuple[int, int]]] = {view: [] for view in patterns}
     votes = dict.fromkeys(patterns, 0)
@@ -265,7 +266,7 @@ def views_with_swapped_leds(
     others = len(patterns) - 1
     accused = [view for view in patterns if 2 * votes[view] > others]
     if others == 1 and accused:
-        accused = [max(accused, key=lambda view: misfit[view])]
+        accused = [max(accused, key=misfit)]
     return {
         view: tuple(sorted({led for pair in against[view] for led in pair})) for view in accused
     }

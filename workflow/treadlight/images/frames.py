@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 
 from treadlight.archive import Capture, Frame
+from treadlight.compiling import kernel
 from treadlight.errors import CaptureError
 from treadlight.images.files import Header, check_length, is_whole, parse_header
 
 _CHANNELS = {"blue": 0, "green": 1, "red": 2}
-# Pixels that become light at a time: what is in between stays in the processor's cache.
-_BAND_PX = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,10 @@ class FrameReader:
         intensity = np.empty((height, width), np.float32) if out is None else out
         saturated = np.empty((height, width), np.bool_)
         black = self._black(frame, np.iinfo(counts.dtype).max)
-        for first in range(0, height, step := max(1, _BAND_PX // width)):
-            rows = slice(first, first + step)
-            part = channels[rows]
-            np.any(part >= self.capture.encoding.white_level, axis=2, out=saturated[rows])
-            linear = self._linear(part) - (black if len(black) == 1 else black[rows])
-            intensity[rows] = linear.mean(axis=2, dtype=np.float32)
+        if black.shape[2] > channels.shape[2]:
+            black = black.mean(axis=2, keepdims=True)
+        light = self._light_of(counts.dtype)
+        _to_light(channels, light, black, self.capture.encoding.white_level, intensity, saturated)
         return LinearFrame(intensity, saturated)
 
     def _decode(self, frame: Frame) -> np.ndarray:
@@ -116,8 +113,34 @@ class FrameReader:
 
     def _linear(self, counts: np.ndarray) -> np.ndarray:
         """Counts as linear light: 1 is full scale of the stored type."""
-        scale = np.float32(1 / np.iinfo(counts.dtype).max)
-        return _to_linear(counts * scale, self.capture.encoding.curve)
+        return self._light_of(counts.dtype)[counts]
+
+    def _light_of(self, dtype: np.dtype) -> np.ndarray:
+        """Linear light of every count, float32."""
+        most = np.iinfo(dtype).max
+        counts = np.arange(most + 1, dtype=np.float32)
+        return _to_linear(counts * np.float32(1 / most), self.capture.encoding.curve)
+
+
+@kernel
+def _to_light(counts, light, black, white, intensity, saturated):
+    """Means (h, w) of the light of channels (h, w, c) less their `black`, which may be of all.
+
+    Once through: a table instead of a power for each pixel.
+    """
+    height, width, channels = counts.shape
+    tall, wide, deep = black.shape[0] > 1, black.shape[1] > 1, black.shape[2] > 1
+    for i in range(height):
+        intensity[i], saturated[i] = 0, False
+        for c in range(channels):
+            dark = black[i if tall else 0, :, c if deep else 0]
+            for j in range(width):
+                count = counts[i, j, c]
+                intensity[i, j] += light[count] - (dark[j] if wide else dark[0])
+                saturated[i, j] |= count >= white
+        if channels > 1:
+            for j in range(width):
+                intensity[i, j] /= np.float32(channels)
 
 
 def _pixels(data: bytes) -> np.ndarray | None:

@@ -14,7 +14,7 @@ from treadlight.integrate.profile import (
 )
 from treadlight.integrate.quality import FLAGS, quality_flags, quality_report
 from treadlight.integrate.settings import IntegrateSettings
-from treadlight.integrate.sight import ASIDE_MM, angles_of_chunks
+from treadlight.integrate.sight import ASIDE_MM, angles_of_chunks, sees
 
 __all__ = [
     "ASIDE_MM",
@@ -36,6 +36,7 @@ __all__ = [
     "quality_flags",
     "quality_report",
     "sampled",
+    "sees",
     "solve_capture",
     "solved_grid",
     "thinned",

@@ -288,7 +288,9 @@ def placed_fields(
 
 
 def _placed(view: View, surface: np.ndarray, grid: CylinderGrid) -> Iterator[ViewNormals]:
-    return (seen_on(block, surface, grid) for block in view.blocks(grid))
+    for block in view.blocks(grid):
+        for part in block.blocks(grid):
+            yield seen_on(part, surface, grid)
 
 
 def _blend_of(field: ViewField | None, grid: CylinderGrid) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Edges of the grid: what photometry says of the height difference between neighbouring cells."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +37,7 @@ class Photometry:
     flags: np.ndarray
 
 
-def merge_views(fields: list[ViewField], grid: CylinderGrid) -> Photometry:
+def merge_views(fields: Iterable[ViewField], grid: CylinderGrid) -> Photometry:
     """Views blended by their information times their `blend`, so that no seam shows.
 
     The merged information is that of the views, each counted by its blend relative to the

@@ -19,8 +19,8 @@ POOR_FIT = FLAGS.index("poor_fit")
 # A cell has a slope where at least this much of a pixel fell on it (bilinear shares add up to
 # about one where the view has a pixel per cell).
 _LEAST_SHARE = 0.15
-# Pixels taken at a time.
-_BLOCK_PX = 1 << 20
+# Pixels taken at a time: what is worked out for them stays in the cache.
+_BLOCK_PX = 1 << 17
 _LEAST_PX = 1 << 12
 
 
@@ -113,10 +113,11 @@ def view_field(blocks: Iterable[ViewNormals], grid: CylinderGrid) -> ViewField |
     ends = np.array([np.inf, -np.inf])
     for view in blocks:
         row, column = _indices(view, grid)
-        if _mark_taken(row, grid.periodic, taken, ends):
+        begin, count = _mark_taken(row, grid.periodic, taken, ends)
+        if count > 0:
             given = row, column, _channels(view, row), grid.periodic
             # Every range looks at all pixels.
-            by_ranges(_splat, len(total), -(-len(total) // cores()), *given, total)
+            by_ranges(_splat, count, -(-count // cores()), begin, *given, total)
     if not taken.any():
         return None
     rows = _rows_covered(taken, grid)
@@ -163,18 +164,22 @@ def _index(
 def _mark_taken(row, periodic, taken, ends):
     """Mark what rows of the grid (n,) points lie behind; NaN for those off an open one.
 
-    Widens `ends` to the first and the last row of all; returns how many points lie on the grid.
+    Widens `ends` to the first and the last row of all; returns which rows these points are shared
+    among: the first, and how many from there on.
     """
-    n, found = len(taken), 0
+    n, low, high = len(taken), len(taken), -1
     for k in range(len(row)):
         if np.isfinite(row[k]):
             ends[0], ends[1] = min(ends[0], row[k]), max(ends[1], row[k])
             if periodic or -0.5 < row[k] < n - 0.5:
-                taken[max(int(np.floor(row[k])), 0)] = True
-                found += 1
+                behind = max(int(np.floor(row[k])), 0)
+                taken[behind] = True
+                low, high = min(low, behind), max(high, behind + 1)
             else:
                 row[k] = np.nan
-    return found
+    if high == n and periodic:
+        return 0, n
+    return low, min(high + 1, n) - low
 
 
 def _channels(view: ViewNormals, row: np.ndarray) -> np.ndarray:
@@ -286,9 +291,10 @@ def _blend(first: int, count: int, whole: int) -> np.ndarray:
 
 
 @kernel
-def _splat(first, last, row, column, channels, periodic, total):
+def _splat(first, last, begin, row, column, channels, periodic, total):
     """Share every point's channels bilinearly among the four cells around it, in some rows."""
-    rows, columns, count = total.shape
+    rows, columns = total.shape[:2]
+    first, last = first + begin, last + begin
     for k in range(len(row)):
         if not np.isfinite(row[k]):
             continue
@@ -304,5 +310,5 @@ def _splat(first, last, row, column, channels, periodic, total):
                 if not 0 <= j + b < columns:
                     continue
                 share = (down if a else 1 - down) * (right if b else 1 - right)
-                for c in range(count):
+                for c in range(_CHANNELS):
                     total[place, j + b, c] += share * channels[k, c]

@@ -1,6 +1,6 @@
 """The whole integration of one capture: sections, views and first surface in, profile out."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,14 +19,14 @@ from treadlight.integrate.case import (
 )
 from treadlight.integrate.cells import sampled, solved_grid, thinned, width_of_cells
 from treadlight.integrate.edges import Photometry, merge_views
-from treadlight.integrate.gather import View
+from treadlight.integrate.gather import View, ViewField
 from treadlight.integrate.laser import held_out, laser_cells
-from treadlight.integrate.relief import Upsampled, add_relief, height_around, smooth_cells
+from treadlight.integrate.normals import normal_residual, solved_slopes, surface_normals
+from treadlight.integrate.relief import Upsampled, height_around, relief, smooth_cells
 from treadlight.integrate.slots import ClosedTread
 from treadlight.integrate.uncertainty import HeldOut
 
-# A pixel's resolution, cells, and how far a step is felt through it.
-_PIXEL_SIGMA = 0.7
+# How far, cells, a step is felt through a pixel's resolution.
 _PIXEL_REACH = 3
 
 
@@ -167,17 +167,17 @@ def _profile_of_cells(found: Found) -> Profile:
     inside, laser = closed.slots.mask, np.zeros(grid.shape, bool)
     laser[found.laser.row, found.laser.column] = True
     r, std = _with_slots(found)
-    slope = _solved_slopes(found.top, found.uncut, grid)
-    blurred = _near(found.steps | inside, grid) & _seen(closed, grid)
+    slope = solved_slopes(found.top, found.uncut, grid)
+    near = ndimage.maximum_filter(found.steps | inside, 2 * _PIXEL_REACH + 1, mode=grid.filter_mode)
     return Profile(
         r=r,
         r_std=std,
-        normal=_surface_normals(slope, blurred, r, grid),
+        normal=surface_normals(slope, near & _seen(closed, grid), r, grid),
         laser=laser,
         step=found.steps | (closed.reach & ~inside),
         held_out=found.proof,
         laser_points=len(found.laser.value),
-        normal_residual=_normal_residual(slope, found.photometry.slope),
+        normal_residual=normal_residual(slope, found.photometry.slope),
         **_seen_fields(found.photometry),
     )
 
@@ -195,9 +195,7 @@ def _profile_of_pixels(
     surface = up.linear(solid)
     photometry = _seen_by_pixels(found, views, up, surface, grid)
     smooth, height = smooth_cells(solid, found.steps, cells), height_around(solid, cells)
-    width = cells.step_z / grid.step_z
-    around = up.nearest(smooth), up.nearest(height)
-    top = add_relief(surface, *around, photometry, width, grid)
+    top = surface + relief(surface, smooth, height, photometry, up, grid)
     r, std = _with_slots(found)
     # What the cells cut into their closed surface.
     r = top - up.linear(solid - r)
@@ -208,20 +206,19 @@ def _profile_of_pixels(
     mask[laser.row, laser.column] = True
     counted = np.zeros(grid.shape[0], bool)
     counted[core] = True
-    steps = up.nearest(found.steps)
     uncut = np.ones((2, *grid.shape), bool)
     uncut[0, -1], uncut[1, :, -1] = grid.periodic, False
-    slope = _solved_slopes(top, uncut, grid)
-    blurred = _near(steps | up.nearest(inside), grid) & up.nearest(_seen(closed, cells))
+    slope = solved_slopes(top, uncut, grid)
+    blurred = up.near(found.steps | inside, _PIXEL_REACH) & up.nearest(_seen(closed, cells))
     return Profile(
         r=r,
         r_std=up.linear(std),
-        normal=_surface_normals(slope, blurred, r, grid),
+        normal=surface_normals(slope, blurred, r, grid),
         laser=mask,
-        step=steps | up.nearest(closed.reach & ~inside),
+        step=up.nearest(found.steps | (closed.reach & ~inside)),
         held_out=found.proof,
         laser_points=int(counted[laser.row].sum()),
-        normal_residual=_normal_residual(slope[:, core], photometry.slope[:, core]),
+        normal_residual=normal_residual(slope[:, core], photometry.slope[:, core]),
         **_seen_fields(photometry),
     )
 
@@ -232,13 +229,15 @@ def _seen_by_pixels(
     """What views see on a surface (n, m), without slopes in slots."""
     slots = ndimage.maximum_filter(found.closed.slots.mask, 3, mode=found.grid.filter_mode)
     closed = up.nearest(slots)
-    fields = []
-    for view, blend in zip(views, found.blends, strict=True):
-        (field,) = placed_fields([view], surface, grid)
-        if field is not None:
-            share = up.along(blend)[field.rows].astype(np.float32)
-            fields.append(outside(replace(field, blend=share), closed))
-    return merge_views(fields, grid)
+
+    def fields() -> Iterator[ViewField]:
+        for view, blend in zip(views, found.blends, strict=True):
+            (field,) = placed_fields([view], surface, grid)
+            if field is not None:
+                share = up.along(blend)[field.rows].astype(np.float32)
+                yield outside(replace(field, blend=share), closed)
+
+    return merge_views(fields(), grid)
 
 
 def _with_slots(found: Found) -> tuple[np.ndarray, np.ndarray]:
@@ -258,73 +257,7 @@ def _seen_fields(photometry: Photometry) -> dict[str, np.ndarray]:
     }
 
 
-def _surface_normals(
-    slope: np.ndarray, blurred: np.ndarray, r: np.ndarray, grid: CylinderGrid
-) -> np.ndarray:
-    """Normals of solved slopes (2, n, m), in a mask (n, m) those of the heights as pixels see."""
-    whole = np.where(blurred, _blurred_slopes(r, grid), slope)
-    return _normals(np.where(np.isfinite(whole), whole, slope))
-
-
-def _near(steps: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """Cells that feel a step through a pixel's resolution."""
-    return ndimage.maximum_filter(steps, 2 * _PIXEL_REACH + 1, mode=grid.filter_mode)
-
-
 def _seen(closed: ClosedTread, grid: CylinderGrid) -> np.ndarray:
     """Cells of the tread and of slots' floors, not of their walls."""
     lowest = ndimage.minimum_filter(closed.opening, 3, mode=grid.filter_mode)
     return ~closed.slots.mask | (lowest == 1)
-
-
-def _blurred_slopes(r: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """dr / (r dtheta) and dr / dz of a surface at a pixel's resolution, (2, n, m) float32."""
-    known = np.isfinite(r)
-    level = float(r[known].mean()) if known.any() else 0.0
-    weight, blurred = (
-        ndimage.gaussian_filter(x.astype(np.float32), _PIXEL_SIGMA, mode=grid.filter_mode)
-        for x in (known, np.where(known, r - level, 0))
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        blurred = np.where(known, blurred / weight, np.float32(np.nan))
-    if grid.periodic:
-        along = np.gradient(np.pad(blurred, ((1, 1), (0, 0)), mode="wrap"), axis=0)[1:-1]
-    else:
-        along = np.gradient(blurred, axis=0)
-    along /= np.float32(grid.step_theta) * (blurred + np.float32(level))
-    return np.stack([along, np.gradient(blurred, np.float32(grid.step_z), axis=1)])
-
-
-def _solved_slopes(r: np.ndarray, uncut: np.ndarray, grid: CylinderGrid) -> np.ndarray:
-    """dr / (r dtheta) and dr / dz of the heights, (2, n, m) float32, from the uncut edges."""
-    slope = np.empty((2, *r.shape), np.float32)
-    for k in range(2):
-        step = (np.roll(r, -1, axis=k) - r).astype(np.float32)
-        whole = uncut[k] & np.isfinite(step)
-        step = np.where(whole, step, np.float32(0))
-        count = whole.astype(np.float32) + np.roll(whole, 1, axis=k)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope[k] = np.where(count > 0, (step + np.roll(step, 1, axis=k)) / count, np.nan)
-    slope[0] /= grid.step_theta * r
-    slope[1] /= grid.step_z
-    return slope
-
-
-def _normals(slope: np.ndarray) -> np.ndarray:
-    """Unit normals (n, m, 3) float32 of slopes (2, n, m)."""
-    normal = np.empty((*slope.shape[1:], 3), np.float32)
-    normal[..., 0] = 1 / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
-    for k in range(2):
-        normal[..., k + 1] = -slope[k] * normal[..., 0]
-    return normal
-
-
-def _normal_residual(solved: np.ndarray, photometric: np.ndarray) -> tuple[float, float]:
-    """Median and 95th percentile of the angle between two fields of slopes, rad."""
-    cosine = np.einsum("...k,...k", _normals(solved), _normals(photometric), dtype=np.float64)
-    cosine = cosine[np.isfinite(cosine)]
-    if not cosine.size:
-        return np.nan, np.nan
-    angle = np.arccos(np.clip(cosine, -1, 1))
-    median, high = np.percentile(angle, [50, 95])
-    return float(median), float(high)

@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 
 from treadlight import tread
+from treadlight.compiling import kernel
 from treadlight.geometry import Rig
 from treadlight.integrate.profile import Profile
+from treadlight.threads import by_ranges
 
 FLAGS = ("laser", "photometric", "shadowed", "saturated", "interpolated", "step", "refused")
 _AXIS = tuple(f"axis.{part}.{k}" for part in ("direction", "point") for k in "xyz")
@@ -14,19 +16,27 @@ _AXIS = tuple(f"axis.{part}.{k}" for part in ("direction", "point") for k in "xy
 
 def quality_flags(profile: Profile) -> np.ndarray:
     """Bits of `FLAGS` per cell, (n, m) uint8."""
-    masks = (
-        profile.laser,
-        profile.photometric,
-        profile.shadowed,
-        profile.saturated,
-        np.isfinite(profile.r) & ~profile.photometric & ~profile.laser,
-        profile.step,
-        ~np.isfinite(profile.r),
-    )
-    flags = np.zeros(profile.r.shape, np.uint8)
-    for bit, mask in enumerate(masks):
-        flags |= mask.astype(np.uint8) << np.uint8(bit)
+    flags = np.empty(profile.r.shape, np.uint8)
+    masks = profile.laser, profile.photometric, profile.shadowed, profile.saturated, profile.step
+    by_ranges(_flags, len(flags), 1, profile.r, *masks, flags)
     return flags
+
+
+@kernel
+def _flags(first, last, r, laser, photometric, shadowed, saturated, step, flags):
+    for i in range(first, last):
+        for j in range(r.shape[1]):
+            known = np.isfinite(r[i, j])
+            interpolated = known and not (photometric[i, j] or laser[i, j])
+            flags[i, j] = (
+                laser[i, j]
+                | photometric[i, j] << 1
+                | shadowed[i, j] << 2
+                | saturated[i, j] << 3
+                | interpolated << 4
+                | step[i, j] << 5
+                | (not known) << 6
+            )
 
 
 def quality_report(

@@ -8,6 +8,7 @@ from scipy import ndimage
 from treadlight.compiling import kernel
 from treadlight.geometry import CylinderGrid
 from treadlight.geometry.angle_kernel import wrapped
+from treadlight.geometry.axis import wrap_angle
 from treadlight.integrate.gather import ViewNormals
 from treadlight.threads import by_ranges
 
@@ -77,6 +78,18 @@ def angles_of_chunks(theta: np.ndarray, chunk: int) -> tuple[float, np.ndarray, 
     return middle, low, high
 
 
+def sees(middle: float, low: np.ndarray, high: np.ndarray, grid: CylinderGrid) -> np.ndarray:
+    """Which squares see a grid or something beside it, by the angles of `angles_of_chunks`.
+
+    As far aside as a pixel may lie off where its view was placed.
+    """
+    own = (grid.theta[0] + grid.theta[-1]) / 2
+    half = (grid.theta[-1] - grid.theta[0]) / 2 + ASIDE_MM / grid.nominal_radius_mm
+    away = wrap_angle(middle - own)
+    known = np.isfinite(low)
+    return known & (grid.periodic | ((away + high >= -half) & (away + low <= half)))
+
+
 @kernel
 def _angles(first, last, theta, middle, chunk, low, high):
     height, width = theta.shape
@@ -122,37 +135,64 @@ def _see(
 ):  # fmt: skip
     """Move pixels along their rays onto the surface (n, m), and turn their normals with them."""
     n, m = surface.shape
+    rows, columns = 1 / step_theta, 1 / step_z
     for k in range(first, last):
-        if not periodic:
-            row = (offset + wrapped(theta[k] - middle)) / step_theta
-            if row < -aside or row > n - 1 + aside:
-                new_r[k], new_theta[k], new_z[k] = r[k], theta[k], z[k]
-                for c in range(3):
-                    new_normal[k, c] = normal[k, c]
-                continue
-        away = theta[k] + encoder
-        ray_x, ray_y = r[k] * np.cos(away) - centre, r[k] * np.sin(away)
+        start = (offset + wrapped(theta[k] - middle)) * rows
+        if not periodic and (start < -aside or start > n - 1 + aside):
+            new_r[k], new_theta[k], new_z[k] = r[k], theta[k], z[k]
+            for c in range(3):
+                new_normal[k, c] = normal[k, c]
+            continue
+        cosine, sine = _turn(wrapped(theta[k] + encoder))
+        ray_x, ray_y = r[k] * cosine - centre, r[k] * sine
         ray_z = z[k] - beside
         along, half = ray_x * ray_x + ray_y * ray_y, centre * ray_x
-        at_theta, at_z, at_r = np.float64(theta[k]), np.float64(z[k]), np.nan
+        shorter = 1 / along
+        tangent, turned, at_z, at_r = 0.0, 0.0, np.float64(z[k]), np.nan
+        i, j = -1, -1
         for _ in range(_ROUNDS):
             # The nearest cell; at the rim the last one.
-            row = (offset + wrapped(at_theta - middle)) / step_theta
-            column = (at_z - first_z) / step_z
+            row, column = start + turned * rows, (at_z - first_z) * columns
             if not (np.isfinite(row) and np.isfinite(column)):
                 at_r = np.nan
                 break
+            before = i, j
             i, j = int(np.rint(row)), min(max(int(np.rint(column)), 0), m - 1)
             i = i % n if periodic else min(max(i, 0), n - 1)
+            if before == (i, j):
+                break
             at_r = surface[i, j]
             # Where |centre + share * ray| = r, on the near side of the axis.
             inside = half * half - along * (centre * centre - at_r * at_r)
-            share = -(half + np.sqrt(inside)) / along if inside >= 0 else np.nan
-            at_theta = np.arctan2(share * ray_y, centre + share * ray_x) - encoder
+            share = -(half + np.sqrt(inside)) * shorter if inside >= 0 else np.nan
+            x, y = centre + share * ray_x, share * ray_y
+            tangent = (y * cosine - x * sine) / (x * cosine + y * sine)
+            turned = _arctan(tangent)
             at_z = share * ray_z + beside
-        new_r[k], new_theta[k], new_z[k] = at_r, at_theta, at_z
+        new_r[k], new_theta[k], new_z[k] = at_r, theta[k] + turned, at_z
         # The local basis of a place further along theta.
-        c, s = np.cos(at_theta - theta[k]), np.sin(at_theta - theta[k])
+        c = 1 / np.sqrt(1 + tangent * tangent)
+        s = tangent * c
         new_normal[k, 0] = c * normal[k, 0] + s * normal[k, 1]
         new_normal[k, 1] = c * normal[k, 1] - s * normal[k, 0]
         new_normal[k, 2] = normal[k, 2]
+
+
+@kernel(inline="always")
+def _arctan(x):
+    """To 1e-12; most angles here are those of some millimetres."""
+    if abs(x) > 0.03:
+        return np.arctan(x)
+    y = x * x
+    return x * (1 - y * (1 / 3 - y * (1 / 5 - y * (1 / 7))))
+
+
+@kernel(inline="always")
+def _turn(angle):
+    """Cosine and sine, to 1e-13 within a view by their series."""
+    if abs(angle) > 0.3:
+        return np.cos(angle), np.sin(angle)
+    x = angle * angle
+    cosine = 1 - x * (1 / 2 - x * (1 / 24 - x * (1 / 720 - x * (1 / 40320 - x * (1 / 3628800)))))
+    sine = 1 - x * (1 / 6 - x * (1 / 120 - x * (1 / 5040 - x * (1 / 362880 - x * (1 / 39916800)))))
+    return cosine, angle * sine
