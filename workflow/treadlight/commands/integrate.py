@@ -275,7 +275,6 @@ def read_ahead(parts: "Iterable[xr.Dataset]") -> "Iterator[xr.Dataset]":
             before, coming = coming, pool.submit(part.load)
             if before is not None:
                 yield before.result()
-                del before
         if coming is not None:
             yield coming.result()
 
