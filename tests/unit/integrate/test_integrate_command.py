@@ -6,7 +6,7 @@ import xarray as xr
 
 from treadlight import store
 from treadlight.cli import main
-from treadlight.commands.integrate import StoredView
+from treadlight.commands.integrate import StoredView, read_ahead
 from treadlight.geometry import CylinderGrid
 
 CAPTURE = """\
@@ -199,6 +199,28 @@ def test_a_band_takes_the_parts_of_views_that_reach_into_it(
     # No more than a chunk and what is seen obliquely beyond either end.
     assert bool(len(rows)) == bool(seen)
     assert ((rows > first - 0.06) & (rows < last + 0.06)).all()
+
+
+def test_parts_are_read_ahead_in_their_order_and_say_what_is_wrong():
+    loaded = []
+
+    class Part:
+        def __init__(self, number):
+            self.number = number
+
+        def load(self):
+            if self.number == 3:
+                raise OSError("no part 3")
+            loaded.append(self.number)
+            return self.number
+
+    assert list(read_ahead(map(Part, range(3)))) == [0, 1, 2]
+    assert list(read_ahead([])) == []
+    parts = read_ahead(map(Part, range(9)))
+    assert [next(parts) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(OSError, match="no part 3"):
+        next(parts)
+    assert max(loaded) <= 4
 
 
 def test_cells_of_which_nothing_is_known_are_empty(products):

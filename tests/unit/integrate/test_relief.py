@@ -299,6 +299,22 @@ def test_what_slopes_say_next_to_nothing_of_stays_near_the_cells():
     assert np.isfinite(found).all()
 
 
+def test_texture_finer_than_cells_is_no_less_where_these_are_flat():
+    grid = CylinderGrid.sector((0.0, 0.04), (0.0, 12.0), 0.1, RADIUS)
+    cells = solved_grid(grid, 3)
+    q = np.where(np.arange(grid.shape[1]) % 2, 0.03, -0.03) + 0 * grid.theta[:, None]
+    slope = np.stack([0 * q, q]).astype(np.float32)
+    variance = np.full(slope.shape, 1e-2, np.float32)
+    seen = Photometry(slope, variance, *np.zeros((2, 3, *grid.shape)))
+    slope[1, :, 40:42] = 0.03
+    surface, up = np.full(grid.shape, RADIUS), Upsampled.between(cells, grid)
+    smooth, flat = np.ones(cells.shape, bool), np.zeros(cells.shape)
+    found = relief(surface, smooth, flat, seen, up, grid)
+    higher = relief(surface, smooth, flat + 1.0, seen, up, grid)
+    assert np.ptp(higher) > 1e-3
+    np.testing.assert_allclose(found, higher, atol=1e-5)
+
+
 def test_where_no_slope_is_known_pixels_follow_the_cells():
     grid = CylinderGrid.sector((0.0, 0.02), (0.0, 4.0), 0.1, RADIUS)
     surface = RADIUS + 0.1 * grid.z**2 + 0 * grid.theta[:, None]

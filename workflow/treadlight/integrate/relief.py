@@ -210,7 +210,7 @@ def _equations(
     for i in range(first - 1, last):
         row = i if i >= 0 else n - 1
         below = row + 1 if row < n - 1 else 0
-        own, here = std[own_row[row]], i % 2
+        own, counts, here = std[own_row[row]], smooth[own_row[row]], i % 2
         if row == n - 1 and not periodic:
             weight[here], flow[here] = 0, 0
         else:
@@ -222,7 +222,9 @@ def _equations(
                 # out of reach.
                 spread = max(variance[0, row, j], variance[1, row, j])
                 spread += max(variance[0, below, j], variance[1, below, j])
-                w, miss = _edge(mean, spread, length, step, own[own_column[j]])
+                w, miss = _edge(
+                    mean, spread, length, step, own[own_column[j]], counts[own_column[j]]
+                )
                 weight[here, j], flow[here, j] = w, w * miss
         if i < first:
             continue
@@ -231,11 +233,11 @@ def _equations(
             mean = 0.5 * (slope[1, i, j] + slope[1, i, j + 1])
             spread = max(variance[0, i, j], variance[1, i, j])
             spread += max(variance[0, i, j + 1], variance[1, i, j + 1])
-            w, miss = _edge(mean, spread, step_z, step, own[own_column[j]])
+            w, miss = _edge(mean, spread, step_z, step, own[own_column[j]], counts[own_column[j]])
             aside[j + 1], flow_aside[j + 1] = w, w * miss
         # The last column has none to its right.
         aside[m], flow_aside[m] = 0, 0
-        counts, above = smooth[own_row[i]], 1 - here
+        above = 1 - here
         for j in range(m):
             around = weight[above, j] + weight[here, j] + aside[j] + aside[j + 1]
             w_theta[i, j], w_z[i, j] = weight[here, j], aside[j + 1]
@@ -245,13 +247,16 @@ def _equations(
 
 
 @kernel(inline="always")
-def _edge(slope, spread, length, step, std):
+def _edge(slope, spread, length, step, std, smooth):
     """Weight of an edge, and what it rises by beyond the surface's own step.
 
-    By its slope, and by the surface, which says more where a slope is next to unknown.
+    By its slope; at steps by the surface as well, which says more where a slope says next to
+    nothing. Where cells are smooth they do not know the texture within them.
     """
     held = 1 / (std * std)
     if not np.isfinite(slope):
         return held, 0.0
     told = 1 / (length * length * 0.5 * spread)
+    if smooth:
+        return told, length * slope - step
     return told + held, told / (told + held) * (length * slope - step)
