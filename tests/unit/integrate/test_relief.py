@@ -268,7 +268,8 @@ def test_cells_are_smooth_on_a_shoulder_and_not_at_a_lip():
 @pytest.mark.parametrize("width", [2, 3, 10])
 def test_pixels_near_a_mask_of_cells_are_those_of_a_filter(whole, width):
     if whole:
-        grid = CylinderGrid.whole_turn((0.0, 20.0), 1.0, 20.0)
+        grid = CylinderGrid.whole_turn((0.0, 20.0), 1.0, 20.2)
+        assert grid.shape[0] % 4 == 3
     else:
         grid = CylinderGrid.sector((0.0, 3.0), (0.0, 20.0), 1.0, 20.0)
     cells = solved_grid(grid, width)
@@ -280,23 +281,34 @@ def test_pixels_near_a_mask_of_cells_are_those_of_a_filter(whole, width):
 
 
 def test_what_slopes_say_next_to_nothing_of_stays_near_the_cells():
-    """A patch that only slopes of a million times their uncertainty lead to, at a step."""
+    """A patch at a step that slopes as uncertain as they are steep lead up to on all sides."""
     grid = CylinderGrid.sector((0.0, 0.04), (0.0, 12.0), 0.1, RADIUS)
-    cells = solved_grid(grid, 3)
-    surface = np.full(grid.shape, RADIUS)
     slope, variance = np.zeros((2, *grid.shape), np.float32), np.full((2, *grid.shape), 1e-6)
-    patch = np.s_[50:60, 50:60]
-    slope[(slice(None), *patch)] = 5.0
+    around = np.s_[49:61, 49:61]
+    slope[0, 49, 50:60], slope[0, 60, 50:60] = 1e4, -1e4
+    slope[1, 50:60, 49], slope[1, 50:60, 60] = 1e4, -1e4
     rim = np.zeros(grid.shape, bool)
-    rim[49:61, 49:61] = True
-    rim[patch] = False
-    slope[:, rim] = 1e4
+    rim[around] = True
+    rim[50:60, 50:60] = False
     variance[:, rim] = 1e14
     seen = Photometry(slope, variance.astype(np.float32), *np.zeros((2, 3, *grid.shape)))
-    smooth, height = np.zeros(cells.shape, bool), np.full(cells.shape, 0.5)
-    found = relief(surface, smooth, height, seen, Upsampled.between(cells, grid), grid)
-    assert np.abs(found).max() <= 1.0
-    assert np.isfinite(found).all()
+    up = Upsampled.between(solved_grid(grid, 3), grid)
+    smooth, height = np.zeros(up.cells.shape, bool), np.full(up.cells.shape, 0.5)
+    found = relief(np.full(grid.shape, RADIUS), smooth, height, seen, up, grid)
+    assert np.abs(found[50:60, 50:60]).max() < 0.01
+
+
+def test_no_pixel_at_a_step_leaves_the_cells_around_it():
+    """A slope that is as certain as it is wrong."""
+    grid = CylinderGrid.sector((0.0, 0.04), (0.0, 12.0), 0.1, RADIUS)
+    slope, variance = np.zeros((2, *grid.shape), np.float32), np.full((2, *grid.shape), 1e-6)
+    slope[1, :, 50:] = 20.0
+    seen = Photometry(slope, variance.astype(np.float32), *np.zeros((2, 3, *grid.shape)))
+    up = Upsampled.between(solved_grid(grid, 3), grid)
+    smooth, height = np.zeros(up.cells.shape, bool), np.full(up.cells.shape, 0.5)
+    smooth[:, :5] = True
+    found = relief(np.full(grid.shape, RADIUS), smooth, height, seen, up, grid)
+    assert np.abs(found).max() == pytest.approx(1.0)
 
 
 def test_texture_finer_than_cells_is_no_less_where_these_are_flat():

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -59,7 +60,7 @@ class FrameReader:
         black = self._black(frame, np.iinfo(counts.dtype).max)
         if black.shape[2] > channels.shape[2]:
             black = black.mean(axis=2, keepdims=True)
-        light = self._light_of(counts.dtype)
+        light = _light_of(counts.dtype, self.capture.encoding.curve)
         _to_light(channels, light, black, self.capture.encoding.white_level, intensity, saturated)
         return LinearFrame(intensity, saturated)
 
@@ -113,13 +114,14 @@ class FrameReader:
 
     def _linear(self, counts: np.ndarray) -> np.ndarray:
         """Counts as linear light: 1 is full scale of the stored type."""
-        return self._light_of(counts.dtype)[counts]
+        return _light_of(counts.dtype, self.capture.encoding.curve)[counts]
 
-    def _light_of(self, dtype: np.dtype) -> np.ndarray:
-        """Linear light of every count, float32."""
-        most = np.iinfo(dtype).max
-        counts = np.arange(most + 1, dtype=np.float32)
-        return _to_linear(counts * np.float32(1 / most), self.capture.encoding.curve)
+
+@cache
+def _light_of(dtype: np.dtype, curve: str) -> np.ndarray:
+    """Linear light of every count, float32."""
+    most = np.iinfo(dtype).max
+    return _to_linear(np.arange(most + 1, dtype=np.float32) * np.float32(1 / most), curve)
 
 
 @kernel

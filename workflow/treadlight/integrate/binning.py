@@ -54,10 +54,14 @@ def views_for_cells(
 
 def _with_bins(view: View, cells: CylinderGrid, memory: Memory | Spool) -> View:
     width = min(cells.step_theta * cells.nominal_radius_mm, cells.step_z)
-    spacings = (_spacing_mm(block) for block in view.blocks(cells))
-    spacing = next((mm for mm in spacings if mm > 0), np.inf)
-    side = int(width / (_PER_CELL * spacing))
+    side = int(width / (_PER_CELL * _first_spacing(view, cells)))
     return view if side < 2 else _binned_view(view, cells, side, memory)
+
+
+def _first_spacing(view: View, cells: CylinderGrid) -> float:
+    """That of the first part that tells one, mm; infinite where none does."""
+    spacings = (_spacing_mm(block) for block in view.blocks(cells))
+    return next((mm for mm in spacings if mm > 0), np.inf)
 
 
 def _spacing_mm(view: ViewNormals) -> float:

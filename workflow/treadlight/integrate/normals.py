@@ -85,8 +85,8 @@ def surface_normals(
     away = np.arange(-_RADIUS, _RADIUS + 1)
     weights = np.exp(-0.5 * (away / _PIXEL_SIGMA) ** 2)
     weights = (weights / weights.sum()).astype(np.float32)
-    known = np.isfinite(r[:: max(1, len(r) // 64)])
-    level = float(np.mean(r[:: max(1, len(r) // 64)], where=known)) if known.any() else 0.0
+    # Single precision tells what is a tread's depth off one of its heights.
+    level = float(np.nan_to_num(r.flat[np.argmax(np.isfinite(r))]))
     given = slope, blurred, np.float64(r), level, weights
     steps = grid.periodic, grid.step_theta, grid.step_z
     by_ranges(_normals, len(r), least_rows(r), *given, *steps, normal)

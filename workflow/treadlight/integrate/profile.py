@@ -51,7 +51,8 @@ class Profile:
     laser_points : int
         Those points, of all lines.
     normal_residual : (2,) float
-        Median and 95th percentile of the angle between photometric and integrated normals, rad.
+        Median and 95th percentile of the angle between photometric and integrated normals, rad,
+        of a million cells at the most.
     """
 
     r: np.ndarray

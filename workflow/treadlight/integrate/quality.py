@@ -10,6 +10,7 @@ from treadlight.geometry import Rig
 from treadlight.integrate.profile import Profile
 from treadlight.threads import by_ranges
 
+# In the order of the bits that `_flags` sets.
 FLAGS = ("laser", "photometric", "shadowed", "saturated", "interpolated", "step", "refused")
 _AXIS = tuple(f"axis.{part}.{k}" for part in ("direction", "point") for k in "xyz")
 

@@ -2,7 +2,8 @@
 
 Over a cell's width slopes need no section to hold them: noise and bias have no room to add up.
 So where the surface of the cells is smooth the pixels follow it, with what their slopes add; at
-steps, which cells draw as wide as they are, slopes alone say where walls stand.
+steps, which cells draw as wide as they are, slopes say where walls stand, and the cells no more
+than how high.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ _LEAST_STD = 1e-3
 
 @dataclass(frozen=True)
 class Upsampled:
-    """Pixels (n, m) among the cells of a grid (k, l), each at least two pixels wide.
+    """Pixels (n, m) among the cells of a grid (k, l).
 
     Attributes
     ----------
@@ -66,14 +67,15 @@ class Upsampled:
 
     def near(self, mask: np.ndarray, reach: int) -> np.ndarray:
         """Pixels with one in a cell of a mask (k, l) at most so many away along both, (n, m)."""
-        # No cell lies between two of these.
-        away = np.array([*range(-reach, reach, 2), reach])[:, None]
         i, j = self.own
+        away = np.arange(-reach, reach + 1)[:, None]
         row, column = np.arange(len(i)) + away, np.arange(len(j)) + away
         row = row % len(i) if self.closed else np.clip(row, 0, len(i) - 1)
-        rows, columns = i[row], j[np.clip(column, 0, len(j) - 1)]
-        beside = np.logical_or.reduce([mask[own] for own in rows])
-        return np.logical_or.reduce([np.take(beside, own, axis=1) for own in columns])
+        beside = mask[i[row]].any(axis=0)
+        found = np.zeros((len(i), len(j)), bool)
+        for own in j[np.clip(column, 0, len(j) - 1)]:
+            found |= np.take(beside, own, axis=1)
+        return found
 
     def linear(self, values: np.ndarray) -> np.ndarray:
         """Bilinear mean of the known cells around, (n, m); NaN where a pixel's own is not known."""
@@ -162,7 +164,8 @@ def relief(
     smooth : (k, l) bool
         Cells where they count.
     height : (k, l) float
-        How far the surface may step where no slope is known, mm.
+        How far the surface may step where no slope is known, mm; at steps it counts beside a slope,
+        and a pixel rises or falls by twice as much at the most.
     photometry : Photometry
         Slopes of the pixels.
     up : Upsampled
