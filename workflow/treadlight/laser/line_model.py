@@ -55,6 +55,9 @@ _TRIMMING_ROUNDS = 3
 _OUTLYING, _TINY_PX = 2.0, 1e-3
 # What a filter draws a line to places in its pixel by before anything is known, standard deviation.
 _LOCKING_PX = 0.02
+# Variance of responses, whose amplitude is 1: rows that are alike to a millionth differ by what
+# single precision rounds, another way on every machine.
+_ROUNDING = 1e-12
 
 
 def learn_line_model(frames: Sequence[tuple[np.ndarray, np.ndarray]]) -> LineModel:
@@ -276,7 +279,7 @@ def _solve(responses: np.ndarray, slopes: np.ndarray, model: LineModel) -> LineM
     if len(responses) < _ROWS_PER_NODE * count:
         return model
     covariance = trimmed_covariance(responses)
-    covariance += _RIDGE * np.diag(np.diag(covariance))
+    covariance += _RIDGE * np.diag(np.diag(covariance)) + _ROUNDING * np.eye(count)
     slope = -slopes.mean(axis=0)
     weights = np.zeros((count, count))
     std = np.zeros(count)
