@@ -1,12 +1,14 @@
 """How the rows of a turn are cut into bands, and laid together again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from treadlight.geometry import CylinderGrid
-from treadlight.integrate import Joined, Profile, bands_of
+from treadlight.integrate import FLAGS, Joined, Profile, bands_of, quality_flags
 from treadlight.integrate.uncertainty import HeldOut
 
 HELD = HeldOut(10, 0.0, 0.1, 0.1, 0.0)
@@ -58,6 +60,26 @@ def profile_of_level(shape, r, points):
         zeros + r, zeros + 0.02, normal, np.full((3, *shape), r), none, ~none, none, none, none,
         HELD, points, (0.01 * points, 0.05),
     )  # fmt: skip
+
+
+def test_every_flag_is_the_bit_of_its_name():
+    """One cell of each kind, in the order of FLAGS, and a dark one that is interpolated."""
+    none = np.zeros((1, 8), bool)
+    masks = {
+        name: none.copy() for name in ("laser", "photometric", "shadowed", "saturated", "step")
+    }
+    for name, mask in masks.items():
+        mask[0, FLAGS.index(name)] = True
+    masks["shadowed"][0, 7] = True
+    profile = profile_of_level((1, 8), 100.0, 1)
+    r = np.where(np.arange(8) == FLAGS.index("refused"), np.nan, profile.r)
+    flags = quality_flags(replace(profile, r=r, **masks))[0]
+    interpolated = 1 << FLAGS.index("interpolated")
+    alone = [1 << k for k in range(7)] + [1 << FLAGS.index("shadowed")]
+    lit = [name in ("laser", "photometric", "refused") for name in FLAGS] + [False]
+    assert flags.tolist() == [
+        b if known else b | interpolated for b, known in zip(alone, lit, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("periodic", [True, False])

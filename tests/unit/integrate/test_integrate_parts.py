@@ -51,6 +51,15 @@ def test_a_view_over_the_seam_of_a_whole_turn_stays_in_one_piece():
     assert np.isfinite(field.slope[0][:25]).all()
 
 
+def test_pixels_between_a_turns_last_row_and_its_first_are_shared_by_both():
+    grid = CylinderGrid(-np.pi + np.arange(180) * (2 * np.pi / 180), np.arange(0, 5, 0.5), 100.0)
+    theta, z = np.meshgrid([np.pi - 0.5 * grid.step_theta], grid.z, indexing="ij")
+    field = view_field([view_at(theta, z, (0.3, 0))], grid)
+    known = dict(zip(field.rows.tolist(), np.isfinite(field.slope[0]).all(axis=1), strict=True))
+    assert known[179]
+    assert known[0]
+
+
 def test_a_view_beside_the_grid_gives_nothing():
     grid = sector()
     theta, z = np.meshgrid(grid.theta + 1.0, grid.z, indexing="ij")

@@ -26,6 +26,8 @@ _REACH_CELLS = 1.0
 # nine of ten at steps within 1 um.
 _ITERATIONS = 5
 _TOLERANCE_MM = 2.5e-4
+# A wall's pixel lies as far off as cells step to either side of where they draw it.
+_MOST_HEIGHTS = 2.0
 # A micron: where there are no slopes the cells' surface is followed.
 _LEAST_STD = 1e-3
 
@@ -193,7 +195,7 @@ def _limit(first, last, own_row, own_column, smooth, height, rise):
         for j in range(len(own_column)):
             column = own_column[j]
             if not smooth[row, column]:
-                most = 2 * height[row, column]
+                most = _MOST_HEIGHTS * height[row, column]
                 rise[i, j] = min(max(rise[i, j], -most), most)
 
 
