@@ -40,6 +40,21 @@ def atan(q):
 
 
 @kernel(inline="always")
+def angle(x, y, radius):
+    """Arc tangent of y / x to 1e-15 for x > 0, where `radius` is the root of x2 + y2.
+
+    By halves, an eighth of it at last, without a branch or a call: it is vectorised.
+    """
+    q = y / (radius + x)
+    q = q / (1.0 + math.sqrt(1.0 + q * q))
+    q = q / (1.0 + math.sqrt(1.0 + q * q))
+    p = q * q
+    tail = 1 / 13 - p * (1 / 15 - p * (1 / 17 - p * (1 / 19)))
+    tail = 1 / 7 - p * (1 / 9 - p * (1 / 11 - p * tail))
+    return 8.0 * q * (1.0 - p * (1 / 3 - p * (1 / 5 - p * tail)))
+
+
+@kernel(inline="always")
 def cos_sin(phi):
     """Cosine and sine to 1e-13 for |phi| < 1: what one view sees of a tire turns by less."""
     q = phi * phi

@@ -11,13 +11,15 @@ import math
 import numpy as np
 
 from treadlight.compiling import kernel
-from treadlight.photometric.height_field import atan, crossings, sample, top
+from treadlight.photometric.height_field import angle, atan, crossings, sample, top
 
 # Cells along a side of the blocks whose tops are known.
 BLOCKS = (8, 64)
 # Pixels along a side of the squares whose rays start together; they have to stay within so many
 # cells of the middle one's, and to see at most so many a side on their last way to the surface.
 _SQUARE, _CLOSE, _WIDEST = 4, 4.0, 32.0
+_LANES, _MIDDLE = _SQUARE * _SQUARE, _SQUARE // 2 * (_SQUARE + 1)
+_CORNERS = (0, _SQUARE - 1, _LANES - _SQUARE, _LANES - 1)
 # Cells that rays between others are allowed to lie beside them at the same radius: far more than
 # lenses and grids bend over a square.
 _BEND = 1.0
@@ -27,6 +29,12 @@ _FEW = 2.0
 # Heights over the surface are found to a nanometre: far less than its single precision.
 _TOLERANCE_MM, _MAX_REFINEMENTS = 1e-6, 24
 
+# Of the rays of a square, side by side: their directions in {V}, where they enter (row and column
+# of the grid, columns per unit of the parameter, angle, z, and the direction along and across the
+# radius there), their ends and steps, and what they meet. After `_tell`, `_ROW` holds the radius.
+_DX, _DY, _DZ, _ROW, _COLUMN, _COLUMNS, _PHI, _Z, _RADIAL, _TANGENTIAL = range(10)
+_SPAN, _STEPS, _KNOWN, _BEGIN, _HIT, _RAY = range(10, 16)
+
 
 @kernel
 def squares(width, pixels):
@@ -35,7 +43,7 @@ def squares(width, pixels):
     return (rows + _SQUARE - 1) // _SQUARE, (width + _SQUARE - 1) // _SQUARE
 
 
-@kernel
+@kernel(allocates=True)
 def cast(
     first, last, r, tops, phi_0, step_phi, z_0, step_z, r_min, r_max, cell,
     origin, directions, width, found,
@@ -46,33 +54,120 @@ def cast(
     """
     across = squares(width, len(directions))[1]
     field = (phi_0, step_phi, z_0, step_z, r_min, r_max, cell)
+    rays = np.empty((_RAY, _LANES))
     for square in range(first, last):
         row, column = square // across * _SQUARE, square % across * _SQUARE
-        level = _clear_level(r, tops, field, origin, directions, width, row, column)
-        for v in range(row, row + _SQUARE):
-            begin, end = v * width + column, min((v + 1) * width, len(directions))
-            for k in range(begin, min(begin + _SQUARE, end)):
-                _cast_one(r, tops, field, origin, directions[k], level, found[k])
+        _take(directions, width, row, column, rays)
+        _enter(field, origin, rays)
+        whole = row * width + width * (_SQUARE - 1) < len(directions) and column + _SQUARE <= width
+        _begin(rays, r_max, _clear_level(r, tops, field, rays) if whole else np.inf)
+        for lane in range(_LANES):
+            rays[_HIT, lane] = _hit(r, tops, field, rays, lane)
+        _tell(rays, r_max)
+        _give(rays, width, row, column, found)
 
 
 @kernel
-def _clear_level(r, tops, field, origin, directions, width, row, column):
+def _take(directions, width, row, column, rays):
+    """Directions of a square's rays; of pixels beside the image those of its last ones."""
+    for lane in range(_LANES):
+        v, u = row + lane // _SQUARE, column + lane % _SQUARE
+        k = min(v * width + min(u, width - 1), len(directions) - 1)
+        rays[_DX, lane], rays[_DY, lane], rays[_DZ, lane] = directions[k]
+
+
+@kernel
+def _enter(field, origin, rays):
+    """All rays of a square from the largest radius on, side by side: their places there.
+
+    `_SPAN` is the parameter at which one ends, negative if it never enters, `_STEPS` how many
+    steps lie until there, `_KNOWN` is 1 if it reaches the least radius.
+    """
+    phi_0, step_phi, z_0, step_z, r_min, r_max, cell = field
+    x0, y0, zc = origin[0], origin[1], origin[2]
+    rows, columns, per_radius, per_cell = 1.0 / step_phi, 1.0 / step_z, 1.0 / r_max, 2.0 / cell
+    beyond = x0 * x0 + y0 * y0
+    high, low = beyond - r_max * r_max, beyond - r_min * r_min
+    for k in range(_LANES):
+        dx, dy, dz = rays[_DX, k], rays[_DY, k], rays[_DZ, k]
+        a, b = dx * dx + dy * dy, x0 * dx + y0 * dy
+        inverse, top_disc, low_disc = 1.0 / a, b * b - a * high, b * b - a * low
+        reaches = low_disc >= 0.0
+        enter = (-b - math.sqrt(top_disc)) * inverse
+        # At the latest where it is nearest to the axis: until there a ray only descends.
+        span = (-b - math.sqrt(max(low_disc, 0.0))) * inverse - enter
+        # The local frame at the entry keeps angles small.
+        ex, ey, z = x0 + enter * dx, y0 + enter * dy, zc + enter * dz
+        c, s = ex * per_radius, ey * per_radius
+        radial, tangential = c * dx + s * dy, c * dy - s * dx
+        phi = angle(ex, ey, r_max)
+        rays[_PHI, k], rays[_Z, k] = phi, z
+        rays[_ROW, k], rays[_COLUMN, k] = (phi - phi_0) * rows, (z - z_0) * columns
+        rays[_COLUMNS, k] = dz * columns
+        rays[_RADIAL, k], rays[_TANGENTIAL, k] = radial, tangential
+        enters = enter > 0.0
+        rays[_SPAN, k] = span if enters else -1.0
+        rays[_KNOWN, k] = 1.0 if enters & reaches else 0.0
+        steps = span * math.sqrt(tangential * tangential + dz * dz) * per_cell
+        steps = steps if steps < _MAX_STEPS - 4.0 else _MAX_STEPS - 4.0
+        rays[_STEPS, k] = 4.0 + math.floor(steps) if enters else 1.0
+
+
+@kernel
+def _begin(rays, r_max, level):
+    """Number of each ray's last step above a radius, 0 if there is none."""
+    for k in range(_LANES):
+        radial, tangential, span = rays[_RADIAL, k], rays[_TANGENTIAL, k], rays[_SPAN, k]
+        a, b = radial * radial + tangential * tangential, r_max * radial
+        t = (-b - math.sqrt(b * b - a * (r_max * r_max - level * level))) / a
+        share = t / span
+        share = share if share < 1.0 else 1.0
+        there = (t > 0.0) & (span > 0.0)
+        rays[_BEGIN, k] = math.floor(share * rays[_STEPS, k]) if there else 0.0
+
+
+@kernel
+def _tell(rays, r_max):
+    """Phi, z and r of the rays' hits; NaN of those without."""
+    for k in range(_LANES):
+        t = rays[_HIT, k]
+        x, y = r_max + t * rays[_RADIAL, k], t * rays[_TANGENTIAL, k]
+        radius = math.sqrt(x * x + y * y)
+        rays[_PHI, k] += angle(x, y, radius)
+        rays[_Z, k] += t * rays[_DZ, k]
+        rays[_ROW, k] = radius
+
+
+@kernel
+def _give(rays, width, row, column, found):
+    for lane in range(_LANES):
+        v, u = row + lane // _SQUARE, column + lane % _SQUARE
+        k = v * width + u
+        if u < width and k < len(found):
+            hit = found[k]
+            hit[0], hit[1], hit[2] = rays[_PHI, lane], rays[_Z, lane], rays[_ROW, lane]
+
+
+@kernel(inline="always")
+def _place(field, rays, lane):
+    """A ray as `_at` takes it: its place at the entry and where it goes."""
+    return (
+        rays[_ROW, lane], 1.0 / field[1], rays[_COLUMN, lane], rays[_COLUMNS, lane], field[5],
+        rays[_RADIAL, lane], rays[_TANGENTIAL, lane], rays[_DZ, lane],
+    )  # fmt: skip
+
+
+@kernel
+def _clear_level(r, tops, field, rays):
     """A radius above which no ray of a square meets the surface; infinite if none is known."""
-    first = row * width + column
-    last = first + (_SQUARE - 1) * width
-    if column + _SQUARE > width or last + _SQUARE > len(directions):
+    known = 1.0
+    for lane in _CORNERS:
+        known = min(known, rays[_KNOWN, lane])
+    if not min(known, rays[_KNOWN, _MIDDLE]) > 0.0:
         return np.inf
-    middle = first + _SQUARE // 2 * (width + 1)
-    place, span, steps, known = _enter(field, origin, directions[middle])
-    if not known:
-        return np.inf
-    corners = (
-        _enter(field, origin, directions[first]),
-        _enter(field, origin, directions[first + _SQUARE - 1]),
-        _enter(field, origin, directions[last]),
-        _enter(field, origin, directions[last + _SQUARE - 1]),
-    )
-    reach = _reach(place, span, corners)
+    place, span = _place(field, rays, _MIDDLE), rays[_SPAN, _MIDDLE]
+    steps = rays[_STEPS, _MIDDLE]
+    reach = _reach(field, rays)
     if not reach <= _CLOSE:
         return np.inf
     advance = _cells_per_step(place, field[4], span, steps)
@@ -81,21 +176,21 @@ def _clear_level(r, tops, field, origin, directions, width, row, column):
     at, _, _ = _first_below(r, tops, place, span, steps, advance, begin)
     if at >= 0:
         low = max(low, _level(place, at * (span / steps)))
-    return min(level, max(low, _highest(r, corners, level, low)))
+    return min(level, max(low, _highest(r, field, rays, level, low)))
 
 
 @kernel
-def _reach(place, span, corners):
+def _reach(field, rays):
     """How many cells off the middle one's the rays of a square are, at any radius."""
     reach = 0.0
-    row, column, _ = _at(place, 0.0)
-    last_row, last_column, _ = _at(place, span)
-    for corner, its_span, _, known in corners:
-        if not known:
-            return np.inf
+    middle, last = _place(field, rays, _MIDDLE), rays[_SPAN, _MIDDLE]
+    row, column, _ = _at(middle, 0.0)
+    last_row, last_column, _ = _at(middle, last)
+    for lane in _CORNERS:
+        corner = _place(field, rays, lane)
         its_row, its_column, _ = _at(corner, 0.0)
         reach = max(reach, abs(its_row - row), abs(its_column - column))
-        its_row, its_column, _ = _at(corner, its_span)
+        its_row, its_column, _ = _at(corner, rays[_SPAN, lane])
         reach = max(reach, abs(its_row - last_row), abs(its_column - last_column))
     return reach + _BEND
 
@@ -118,16 +213,17 @@ def _first_doubtful(tops, place, span, steps, cells_per_step, reach):
 
 
 @kernel
-def _highest(r, corners, level, low):
+def _highest(r, field, rays, level, low):
     """Highest surface that the rays of a square pass over from one radius down to another.
 
     Infinite where these are too many cells, or none can be told.
     """
     first_row = first_column = np.inf
     last_row = last_column = -np.inf
-    for corner, _, _, _ in corners:
+    for lane in _CORNERS:
+        corner = _place(field, rays, lane)
         for radius in (level, low):
-            t, _ = crossings(corner[4], 0.0, corner[7], corner[8], radius)
+            t, _ = crossings(corner[4], 0.0, corner[5], corner[6], radius)
             if math.isnan(t):
                 return np.inf
             row, column, _ = _at(corner, t)
@@ -145,59 +241,24 @@ def _highest(r, corners, level, low):
 
 
 @kernel
-def _cast_one(r, tops, field, origin, ray, level, found):
-    """First hit of a ray, which meets nothing above a radius."""
-    place, span, steps, _ = _enter(field, origin, ray)
+def _hit(r, tops, field, rays, lane):
+    """The parameter at which a ray meets the surface first; NaN if it never does."""
+    span, steps = rays[_SPAN, lane], rays[_STEPS, lane]
     if span < 0.0:
-        return
+        return np.nan
+    place = _place(field, rays, lane)
     advance = _cells_per_step(place, field[4], span, steps)
-    begin = _last_above(place, span, steps, level)
-    at, above, below = _first_below(r, tops, place, span, steps, advance, begin)
+    at, above, below = _first_below(r, tops, place, span, steps, advance, int(rays[_BEGIN, lane]))
     if at < 0 or (at > 0 and math.isnan(above)):
-        return
+        return np.nan
     step = span / steps
-    t = 0.0 if at == 0 else _meet(r, place, (at - 1) * step, above, at * step, below)
-    _, _, _, _, start, phi, z, radial, tangential, dz = place
-    x, y = start + t * radial, t * tangential
-    found[0] = phi + math.atan(y / x)
-    found[1] = z + t * dz
-    found[2] = math.sqrt(x * x + y * y)
-
-
-@kernel
-def _enter(field, origin, ray):
-    """A ray from the largest radius on.
-
-    Its place (see `_at`), the parameter at which it ends, negative if it never enters, its steps
-    until there, and whether it reaches the least radius.
-    """
-    phi_0, step_phi, z_0, step_z, r_min, r_max, cell = field
-    x0, y0, zc = origin
-    dx, dy, dz = ray
-    enter, leave = crossings(x0, y0, dx, dy, r_max)
-    bottom, _ = crossings(x0, y0, dx, dy, r_min)
-    reaches = not math.isnan(bottom)
-    # At the latest where it is nearest to the axis: until there a ray only descends.
-    span = (bottom if reaches else 0.5 * (enter + leave)) - enter
-    # The local frame at the entry keeps angles small.
-    ex, ey, z = x0 + enter * dx, y0 + enter * dy, zc + enter * dz
-    c, s = ex / r_max, ey / r_max
-    radial, tangential = c * dx + s * dy, c * dy - s * dx
-    phi, rows, columns = math.atan2(ey, ex), 1.0 / step_phi, 1.0 / step_z
-    place = (
-        (phi - phi_0) * rows, rows, (z - z_0) * columns, dz * columns, r_max, phi, z,
-        radial, tangential, dz,
-    )  # fmt: skip
-    if not enter > 0.0:
-        return place, -1.0, 1, False
-    lateral = span * math.sqrt(tangential * tangential + dz * dz)
-    return place, span, min(_MAX_STEPS, 4 + int(2.0 * lateral / cell)), reaches
+    return 0.0 if at == 0 else _meet(r, place, (at - 1) * step, above, at * step, below)
 
 
 @kernel(inline="always")
 def _at(place, t):
     """Row, column and radius of a ray's point."""
-    row, rows, column, columns, start, _, _, radial, tangential, _ = place
+    row, rows, column, columns, start, radial, tangential, _ = place
     x, y = start + t * radial, t * tangential
     return row + rows * atan(y / x), column + columns * t, math.sqrt(x * x + y * y)
 
@@ -205,21 +266,14 @@ def _at(place, t):
 @kernel(inline="always")
 def _level(place, t):
     """Radius of a ray's point."""
-    x, y = place[4] + t * place[7], t * place[8]
+    x, y = place[4] + t * place[5], t * place[6]
     return math.sqrt(x * x + y * y)
 
 
 @kernel(inline="always")
 def _fall(place, span, steps):
     """How much a ray descends in a step, at most: it falls ever more slowly."""
-    return abs(place[7]) * span / steps
-
-
-@kernel
-def _last_above(place, span, steps, level):
-    """Number of the last step above a radius, 0 if there is none."""
-    t, _ = crossings(place[4], 0.0, place[7], place[8], level)
-    return int(min(t / span, 1.0) * steps) if t > 0.0 and span > 0.0 else 0
+    return abs(place[5]) * span / steps
 
 
 @kernel(inline="always")
@@ -232,7 +286,7 @@ def _gap(r, place, t):
 @kernel
 def _cells_per_step(place, r_min, span, steps):
     """How many rows or columns a ray advances in a step, at most; infinite where nobody knows."""
-    _, rows, _, columns, start, _, _, radial, tangential, _ = place
+    _, rows, _, columns, start, radial, tangential, _ = place
     x, y = start - span * abs(radial), span * abs(tangential)
     if not (x > y and r_min > 0.0):
         return np.inf
@@ -276,7 +330,7 @@ def _first_below(r, tops, place, span, steps, cells_per_step, begin):
 @kernel
 def _is_gone(r, place, row, column):
     """Whether a ray has left the grid for good."""
-    tangential, dz = place[8], place[9]
+    tangential, dz = place[6], place[7]
     beside = row < 0.0 if tangential < 0.0 else row > r.shape[0] - 1
     return beside or (column < 0.0 if dz < 0.0 else column > r.shape[1] - 1)
 

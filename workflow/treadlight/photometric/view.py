@@ -11,6 +11,7 @@ from treadlight.geometry import Axis, Camera, CylinderGrid, Led
 from treadlight.geometry.axis import wrap_angle
 from treadlight.photometric import scene, view_kernels
 from treadlight.photometric.closure import covariance_scale
+from treadlight.photometric.light_tiles import tiles_of
 from treadlight.photometric.map import map_normals
 from treadlight.photometric.material import learn_material
 from treadlight.photometric.observations import (
@@ -307,11 +308,10 @@ def _observe(
     leds = _in_view_frame(view.axis, leds)
     points = scene.cast(patch, origin, _pixel_directions(view, pixels), width)
     lit = scene.lit(obstacles, points, leds, width)
-    in_camera = _in_camera(view, points)
     shape = lit.shape
-    irradiance = np.empty(shape)
-    for m, k in enumerate(view.leds):
-        irradiance[m] = view.light.irradiance(k, in_camera)
+    tiles = tiles_of(points, width)
+    places = _in_camera(view, tiles.places)
+    terms = np.stack([tiles.terms(view.light.irradiance(k, places)) for k in view.leds])
     seen = Observations(
         intensity=np.empty(shape, np.float32),
         lights=np.moveaxis(np.empty((shape[0], 3, shape[1]), np.float32), 1, 2),
@@ -320,9 +320,11 @@ def _observe(
         noise=np.empty(shape, np.float32),
     )
     quality = np.empty(shape[1], np.uint8)
+    wide = len(points) if width is None else width
     by_ranges(
-        view_kernels.observe, len(points), _LEAST_PX,
-        points, counts, irradiance, view.noise, lit, leds, origin,
+        view_kernels.observe, -(-len(points) // max(wide, 1)), -(-_LEAST_PX // max(wide, 1)),
+        wide, points, counts, terms, tiles.shape, tiles.middle, tiles.half,
+        view.noise.astype(np.float32), lit, leds, origin,
         seen.intensity, seen.noise, np.moveaxis(seen.lights, 2, 1), seen.views, seen.usable,
         quality,
     )  # fmt: skip
